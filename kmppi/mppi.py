@@ -118,8 +118,8 @@ class MPPI:
         Args:
             plan: what to sample around, from `initial`, `shift` or an earlier call.
             objective: costs (*b, K) of controls (*b, K, H, A) within the limits; lower is better.
-            proposals: knots (*b, P, S, A) of further nominal plans, such as a network's: samples of the first
-                iteration, in the place of as many drawn ones.
+            proposals: knots (*b, P, S, A) of further nominal plans, such as a network's, which are evaluated first: the
+                best of them and of `plan` is what is sampled around.
             iterations: how often to sample and update; `settings.iterations` unless given.
             should_stop: asked between iterations; on True the plan so far is returned. One iteration is always done.
             generator: all randomness of the samples, of each scene where there are several; it may live on another
@@ -136,19 +136,24 @@ class MPPI:
         if iterations < 1:
             raise ValueError(f"Expected iterations to be 1 or more, got {iterations}")
         plan = self.from_knots(plan.knots)
-        further = None if proposals is None else self.from_knots(proposals).knots
-        if further is not None and further.shape[-3] + self.settings.include_nominal > self.settings.samples:
-            raise ValueError(
-                f"Expected fewer proposals than the {self.settings.samples} samples, got {further.shape[-3]}"
-            )
+        if proposals is not None:
+            plan = self._best(plan, self.from_knots(proposals), objective)
         for done in range(1, iterations + 1):
-            plan, rollouts = self._iterate(plan, objective, done, generator, further if done == 1 else None)
+            plan, rollouts = self._iterate(plan, objective, done, generator)
             if done < iterations and should_stop is not None and should_stop():
                 break
         return plan, rollouts
 
+    def _best(self, plan: ControlPlan, proposals: ControlPlan, objective: Objective) -> ControlPlan:
+        """The plan of least cost, of one and of several others (*b, P); the one where no cost is finite."""
+        knots = torch.cat((plan.knots.unsqueeze(-3), proposals.knots), -3)
+        controls = torch.cat((plan.controls.unsqueeze(-3), proposals.controls), -3)
+        costs = self._evaluate(objective, controls)
+        least = torch.where(costs.isfinite(), costs, torch.inf).argmin(-1)[..., None, None, None]
+        return ControlPlan(*(of.take_along_dim(least, -3).squeeze(-3) for of in (knots, controls)))
+
     def _iterate(
-        self, plan: ControlPlan, objective: Objective, done: int, generator: Generators, further: Tensor | None
+        self, plan: ControlPlan, objective: Objective, done: int, generator: Generators
     ) -> tuple[ControlPlan, Rollouts]:
         settings = self.settings
         noise = self._noise(plan.knots.shape[:-2], settings.samples, generator)
@@ -156,10 +161,6 @@ class MPPI:
             noise[..., 0, :, :] = 0.0
         nominal = plan.knots.unsqueeze(-3)
         knots = self._bound_knots(nominal + noise)
-        first = int(settings.include_nominal)
-        placed = slice(first, first + (0 if further is None else further.shape[-3]))
-        if further is not None:
-            knots[..., placed, :, :] = further
         controls = self.controls(knots)
         costs = self._evaluate(objective, controls)
         weighed = costs
@@ -169,8 +170,6 @@ class MPPI:
         if settings.perturbation_cost:
             # the noise that was left after clipping is the one that was rolled out
             perturbation = perturbation_cost(plan.knots, knots - nominal, self.noise_variance, settings.temperature)
-            if further is not None:
-                perturbation[..., placed] = 0.0  # proposals were not drawn around the nominal
         weights = sample_weights(
             weighed, settings.temperature, cost_scale=settings.cost_scale, perturbation=perturbation
         )

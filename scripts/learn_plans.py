@@ -1,30 +1,52 @@
-"""A plan proposal network, trained by gradient through pushing, in KMPPI: better plans at equal time?
+"""A plan proposal network in KMPPI, trained on long plans and by gradient through pushing: better plans at equal time?
 
     python -m scripts.learn_plans                       # record, train, judge, whole runs: lines and a figure
-    python -m scripts.learn_plans --episodes 4 --steps 20 --beliefs 5 --runs 2 --out learnt --figures learnt
+    python -m scripts.learn_plans --episodes 4 --scenes 40 --imitation 50 --steps 20 --beliefs 5 --runs 2 --out learnt \
+        --figures learnt
 
 Beliefs are those of runs of the task `mug`, whose scene the seed draws. The network (`scripts/plan_proposals.py`) gives
-further nominal plans; KMPPI samples around the best of these and its own. A plan is judged by the planner's own cost,
+a set of nominal plans; KMPPI samples around the best of these and its own. A plan is judged by the planner's own cost,
 with more poses, of beliefs that were not trained on; its time is the processor's, fields and network included.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
 import tyro
+from jaxtyping import Float
 from torch import Tensor
+from torch.nn.utils import clip_grad_norm_
 
 from rumi.cli import script
 from rumi.tasks.rummage.agent import Rummager
-from scripts.plan_judging import Method, Moment, judge, moments, one_of, paired, parts, whole_run
+from scripts.plan_judging import (
+    Method,
+    Moment,
+    judge,
+    moments,
+    one_of,
+    paired,
+    parts,
+    plan_cost,
+    planned,
+    whole_run,
+)
 from scripts.plan_proposals import ProposalNetwork, Scenes, SoftCost, policy_of
 from scripts.store import Line, Store
 
 RECORDING = (100, 1, 4)  # samples and iterations of the planner that episodes are recorded by
-USUAL = (2, 10)  # iterations of a later plan and of the first
+LONG = Method(False, 125, 6, narrow=False)  # by which plans are made to learn from
+USUAL = (500, 2, 10)  # samples, iterations of a later plan and of the first, as the settings have them
+ALONE = {(500, False): (1, 2, 3), (125, False): (4, 8), (125, True): (4, 8)}
+WITH = {(125, True): (1, 3)}
+IN_RUNS = (Method(False, 500, 2, narrow=False), Method(True, 125, 3, narrow=True))
+FIRST = 8  # iterations of a run's first plan, with the network
 
 
 @dataclass(frozen=True)
@@ -33,61 +55,143 @@ class Options:
 
     Attributes:
         episodes: recorded to train on, seeds from 2000 on.
-        steps: of the optimiser.
-        beliefs: held out, one of a run each, seeds from 1000 on.
-        runs: whole ones, with and without the network, seeds from 1100 on.
-        samples: of KMPPI.
-        iterations: of KMPPI, to compare.
-        work: folder that keeps episodes, held-out beliefs and the network.
+        scenes: made of their beliefs, with long plans; in every second one the object is turned by any angle.
+        fresh: further ones, all turned, without plans: the soft cost needs none.
+        imitation: steps of the optimiser towards long plans, of 64 scenes.
+        steps: further ones by gradient of the soft cost, of 20 fresh scenes.
+        beliefs: held out, one of a run each, seeds from 1300 on.
+        runs: whole ones, with and without the network, seeds from 1400 on.
+        work: folder that keeps episodes, scenes, held-out beliefs and the network.
         out: folder of plan_proposals.jsonl.
         figures: folder of plan_proposals.png.
     """
 
     episodes: int = 120
-    steps: int = 700
+    scenes: int = 1200
+    fresh: int = 3000
+    imitation: int = 1200
+    steps: int = 100
     beliefs: int = 100
-    runs: int = 4
-    samples: int = 500
-    iterations: tuple[int, ...] = (1, 2, 3)
+    runs: int = 60
     work: Path = Path("build/plan_proposals")
     out: Path = Path("scripts/results")
     figures: Path = Path("scripts/docs/figures")
 
 
-def scenes_of(agent: Rummager, recorded: Sequence[Moment], random: torch.Generator, turns: int = 2) -> Scenes:
-    """Scenes to train on: those recorded, and each turned about the arm's base a few times, by up to 20 degrees."""
-    assert agent.tool.reach is not None
-    base = agent.tool.reach.base
-    angles = (0.7 * torch.rand(turns, len(recorded), generator=random) - 0.35).tolist()
-    more = [one.turned(base, angle) for row in angles for one, angle in zip(recorded, row, strict=True)]
-    every = [*recorded, *more]
-    return Scenes.of([one.belief for one in every], [one.configuration for one in every], agent, random)
+def scenes_of(
+    agent: Rummager, recorded: Sequence[Moment], count: int, random: torch.Generator, *, plans: bool = True
+) -> Scenes:
+    """Scenes to train on, with long plans, one from the plan before where there is one and one from noise, or none."""
+    made = []
+    order = torch.randperm(len(recorded), generator=random).tolist()
+    for k in range(count):
+        moment = recorded[order[k // 2 % len(order)]]
+        if k % 2 or not plans:
+            moment = moment.turned(2.0 * math.pi * float(torch.rand((), generator=random)))
+        policy, knots = LONG.policy(agent, None), torch.zeros(0, policy_of(agent).settings.mppi.knots or 0, 3)
+        found = [planned(agent, policy, moment, warm=warm) for warm in (True, False)] if plans else []
+        costs = torch.tensor([plan_cost(agent, moment, plan.controls) for plan in found])
+        if found:
+            knots = torch.stack([plan.warm_start.knots for plan in found if plan.warm_start is not None])
+        made.append(Scenes.of(agent, moment.belief, moment.configuration, knots, costs, random))
+        if k % 100 == 99:
+            print(f"{k + 1} scenes", flush=True)
+    return Scenes.from_parts([torch.cat(part) for part in zip(*(scene.parts for scene in made), strict=True)])
 
 
-def train(
-    agent: Rummager, scenes: Scenes, steps: int, random: torch.Generator, *, batch: int = 16, temperature: float = 0.05
-) -> ProposalNetwork:
-    """Train by the soft cost, whose width shrinks; of a scene's plans the best ones count (a soft minimum)."""
-    network, cost = ProposalNetwork(policy_of(agent).settings.mppi), SoftCost(agent)
-    optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+class Imitation:
+    """Imitation loss: squared distance of long plans' paths from the nearest plan of a set, the best counting most.
+
+    Only the nearest plan follows (the set spreads over what there is to follow); the others do a little.
+
+    Args:
+        agent: whose tool it is.
+        network: whose planner makes controls of knots.
+    """
+
+    def __init__(self, agent: Rummager, network: ProposalNetwork) -> None:
+        self.scale, self.planner = agent.tool.scale / torch.tensor([0.03, 0.03, 0.4]), network.planner
+
+    def __call__(self, knots: Float[Tensor, "B P K 3"], scenes: Scenes, others: float) -> Tensor:
+        """Mean over scenes, with a weight of the others."""
+        own, good = self._paths(knots)[:, :, None], self._paths(scenes.knots)[:, None]
+        apart = (own - good).square().mean((-2, -1))  # (B, P, T)
+        share = (-scenes.costs / 0.15).softmax(-1)
+        return (share * apart.amin(1)).sum(-1).mean() + others * apart.mean()
+
+    def _paths(self, knots: Float[Tensor, "B n K 3"]) -> Float[Tensor, "B n H 3"]:
+        return self.planner.controls(knots).cumsum(-2) * self.scale
+
+
+def drawn(scenes: Scenes, batch: int, random: torch.Generator) -> Scenes:
+    """Some of the scenes, drawn with replacement."""
+    return scenes.at(torch.randint(len(scenes.configuration), (batch,), generator=random))
+
+
+def imitate(agent: Rummager, network: ProposalNetwork, scenes: Scenes, steps: int, random: torch.Generator) -> None:
+    """Train towards the long plans of scenes."""
+    imitation = Imitation(agent, network)
+
+    def loss(progress: float) -> Tensor:
+        some = drawn(scenes, 64, random)
+        return imitation(network.plans(some.seen), some, 0.05 * (1.0 - progress))
+
+    optimise(network, loss, steps, 1e-3)
+
+
+def descend(
+    agent: Rummager, network: ProposalNetwork, scenes: Scenes, fresh: Scenes, steps: int, random: torch.Generator
+) -> None:
+    """Train by the gradient of the soft cost of fresh scenes, whose width shrinks, and a little by imitation still."""
+    imitation, soft = Imitation(agent, network), SoftCost(agent)
+
+    def loss(progress: float) -> Tensor:
+        some, followed = drawn(fresh, 20, random), drawn(scenes, 64, random)
+        width = max(0.008, 0.03 * 0.25 ** min(1.0, progress / 0.7))
+        poses = some.poses[:, torch.randperm(some.poses.shape[1], generator=random)[:2]]
+        cost = best_cost(soft, network, some, poses, width)
+        return cost + 0.3 * imitation(network.plans(followed.seen), followed, 0.0)
+
+    optimise(network, loss, steps, 3e-4)
+
+
+def best_cost(
+    soft: SoftCost,
+    network: ProposalNetwork,
+    scenes: Scenes,
+    poses: Float[Tensor, "B M 3"],
+    width: float,
+    *,
+    kept: int = 4,
+    temperature: float = 0.05,
+) -> Tensor:
+    """Soft minimum of the cost over a set's plans, whose gradient is that of the few that are best by one pose."""
+    knots = network.plans(scenes.seen)
+    with torch.no_grad():
+        rough = soft(network.planner.controls(knots), scenes, poses[:, :1], width)
+    best = rough.topk(min(kept, rough.shape[1]), largest=False).indices
+    controls = network.planner.controls(knots.take_along_dim(best[..., None, None], 1))
+    costs = soft(controls, scenes, poses, width)
+    return (-temperature * (-costs / temperature).logsumexp(-1)).mean()
+
+
+def optimise(network: ProposalNetwork, loss_of: Callable[[float], Tensor], steps: int, rate: float) -> None:
+    """Adam steps at a rate that falls to 0 by a cosine; a loss is told the progress, from 0 to 1."""
+    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=1e-2)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, steps))
+    network.train()
     late = 0.0
     for step in range(steps):
-        some = scenes.at(torch.randint(len(scenes.configuration), (batch,), generator=random))
-        poses = some.poses[:, torch.randint(some.poses.shape[1], (2,), generator=random)]
-        knots = network(some.seen.image, some.seen.tool)
-        width = max(0.008, 0.08 * 0.1 ** min(1.0, step / (0.7 * steps)))
-        costs = cost(network.planner.controls(knots), some, poses, width)
+        loss = loss_of(step / steps)
         optimiser.zero_grad()
-        (-temperature * (-costs / temperature).logsumexp(-1)).mean().backward()
-        norm = torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        loss.backward()
+        norm = clip_grad_norm_(network.parameters(), 1.0)
         if bool(norm.isfinite()):  # an object that is wedged has slopes without end
             optimiser.step()
         schedule.step()
-        late = 0.95 * late + 0.05 * float(costs.detach().amin(-1).mean()) if step else float(costs.detach().mean())
+        late = 0.95 * late + 0.05 * float(loss.detach()) if step else float(loss.detach())
         if step % 50 == 49:
-            print(f"step {step + 1}: soft cost of the best {late:.3f}, width {1e3 * width:.0f} mm", flush=True)
-    return network
+            print(f"step {step + 1}: loss {late:.3f}", flush=True)
 
 
 def kept(file: Path, make: Callable[[], Any]) -> Any:  # noqa: ANN401  (what torch keeps)
@@ -99,23 +203,40 @@ def kept(file: Path, make: Callable[[], Any]) -> Any:  # noqa: ANN401  (what tor
 
 
 def trained(options: Options) -> ProposalNetwork:
-    """The network, trained on recorded episodes; both are kept."""
+    """The network, trained on recorded episodes; both are kept, and so are the scenes."""
+    _, agent = parts(*USUAL)
+    kind = "_".join(str(value) for value in about(options).values())
+
+    def empty() -> ProposalNetwork:
+        return ProposalNetwork(policy_of(agent).settings.mppi)
 
     def record() -> list[tuple[Any, ...]]:
-        task, agent = parts(*RECORDING)
-        return [tuple(one) for seed in range(2000, 2000 + options.episodes) for one in moments(task, agent, seed)]
+        task, recorder = parts(*RECORDING)
+        return [tuple(one) for seed in range(2000, 2000 + options.episodes) for one in moments(task, recorder, seed)]
 
-    def learn() -> dict[str, Tensor]:
-        recorded = [Moment(*one) for one in kept(options.work / f"episodes_{options.episodes}.pt", record)]
-        random = torch.Generator().manual_seed(0)
-        torch.manual_seed(0)
-        _, agent = parts(options.samples, *USUAL)
-        return train(agent, scenes_of(agent, recorded, random), options.steps, random).state_dict()
+    def made(count: int, seed: int, plans: bool) -> Scenes:
+        def make() -> tuple[Tensor, ...]:
+            recorded = [Moment(*one) for one in kept(options.work / f"episodes_{options.episodes}.pt", record)]
+            return scenes_of(agent, recorded, count, torch.Generator().manual_seed(seed), plans=plans).parts
 
-    _, agent = parts(options.samples, *USUAL)
-    network = ProposalNetwork(policy_of(agent).settings.mppi)
-    network.load_state_dict(kept(options.work / f"network_{options.episodes}_{options.steps}.pt", learn))
-    return network
+        name = f"{'scenes' if plans else 'fresh'}_{options.episodes}_{count}.pt"
+        return Scenes.from_parts(kept(options.work / name, make))
+
+    def learn(descends: bool) -> dict[str, Tensor]:
+        scenes = made(options.scenes, 0, True)
+        before = kept(options.work / f"imitating_{kind}.pt", lambda: learn(False)) if descends else None
+        torch.manual_seed(int(descends))
+        network, random = empty(), torch.Generator().manual_seed(int(descends))
+        if before is None:
+            imitate(agent, network, scenes, options.imitation, random)
+        else:
+            network.load_state_dict(before)
+            descend(agent, network, scenes, made(options.fresh, 1, False), options.steps, random)
+        return network.state_dict()
+
+    network = empty()
+    network.load_state_dict(kept(options.work / f"network_{kind}.pt", lambda: learn(True)))
+    return network.eval()
 
 
 def held_out(options: Options) -> list[Moment]:
@@ -123,17 +244,23 @@ def held_out(options: Options) -> list[Moment]:
 
     def record() -> list[tuple[Any, ...]]:
         task, agent = parts(*RECORDING)
-        return [tuple(one_of(task, agent, seed)) for seed in range(1000, 1000 + options.beliefs)]
+        return [tuple(one_of(task, agent, seed)) for seed in range(1300, 1300 + options.beliefs)]
 
     return [Moment(*one) for one in kept(options.work / f"held_out_{options.beliefs}.pt", record)]
 
 
+def methods_of(own: bool) -> list[Method]:
+    """Planners to compare, with the network or alone."""
+    kinds = WITH if own else ALONE
+    return [Method(own, samples, k, narrow) for (samples, narrow), counts in kinds.items() for k in counts]
+
+
 def judge_all(options: Options, network: ProposalNetwork, store: Store) -> None:
     """Judge all methods by every belief, from noise and where there is one from the plan before."""
-    _, agent = parts(options.samples, *USUAL)
-    methods = [Method(own, count) for count in options.iterations for own in (False, True)]
+    _, agent = parts(*USUAL)
+    methods = [*methods_of(False), *methods_of(True)]
     recorded = held_out(options)
-    judge(agent, network, recorded[0], methods[-1], options.samples, warm=False)  # kernels are loaded
+    judge(agent, network, recorded[0], methods[-1], warm=False)  # kernels are loaded
     for warm in (False, True):
         for moment in recorded:
             if warm and moment.knots is None:
@@ -141,37 +268,51 @@ def judge_all(options: Options, network: ProposalNetwork, store: Store) -> None:
             settings = {"part": "belief", "seed": moment.seed, "step": moment.step, "warm": warm} | about(options)
 
             def work(moment: Moment = moment, warm: bool = warm) -> dict[str, Any]:
-                return {one.name: judge(agent, network, moment, one, options.samples, warm=warm) for one in methods}
+                return {one.name: judge(agent, network, moment, one, warm=warm) for one in methods}
 
             store.measure(settings, work)
 
 
 def about(options: Options) -> dict[str, Any]:
-    """What tells a line of one network and planner from those of others."""
-    return {"episodes": options.episodes, "steps": options.steps, "samples": options.samples}
+    """What tells a line of one network from those of others."""
+    names = ("episodes", "scenes", "fresh", "imitation", "steps")
+    return {name: getattr(options, name) for name in names}
 
 
 def run_all(options: Options, network: ProposalNetwork, store: Store) -> None:
     """Whole runs with and without proposals."""
-    task, agent = parts(options.samples, *USUAL)
-    for seed in range(1100, 1100 + options.runs):
-        for own in (False, True):
-            chosen = network if own else None
+    task, agent = parts(*USUAL)
+    for seed in range(1400, 1400 + options.runs):
+        for method in IN_RUNS:
+            policy = method.policy(agent, network, FIRST if method.network else USUAL[2])
             store.measure(
-                {"part": "run", "seed": seed, "network": own} | about(options),
-                lambda seed=seed, chosen=chosen: whole_run(task, agent, chosen, seed),
+                {"part": "run", "seed": seed, "network": method.network} | about(options),
+                partial(whole_run, task, agent, policy, seed),
             )
 
 
-def at_equal_time(lines: Sequence[Line], iterations: Sequence[int], seconds: float) -> list[float]:
-    """Cost of KMPPI alone by belief, linear in time between the numbers of iterations, whose times are means."""
-    alone = [Method(False, count).name for count in iterations]
-    times = [mean_of(lines, name, "seconds") for name in alone]
-    later = next((k for k, time in enumerate(times) if time >= seconds), len(times) - 1)
-    early = max(later - 1, 0)
-    whole = times[later] - times[early]
-    part = min(max((seconds - times[early]) / whole, 0.0), 1.0) if whole > 0 else 1.0
-    return [(1.0 - part) * line[alone[early]]["cost"] + part * line[alone[later]]["cost"] for line in lines]
+def at_equal_time(lines: Sequence[Line], names: Sequence[str], seconds: float) -> list[float] | None:
+    """Cost by belief of methods of rising time at a time between, linear between the means of their times.
+
+    The quickest one's cost where there is less time than it takes, and None where there is more than the last takes.
+    """
+    times = [mean_of(lines, name, "seconds") for name in names]
+    if seconds > times[-1]:
+        return None
+    if seconds <= times[0]:
+        return [line[names[0]]["cost"] for line in lines]
+    for (early, late), (name, following) in zip(pairwise(times), pairwise(names), strict=True):
+        if seconds <= late:
+            part = (seconds - early) / (late - early)
+            return [(1.0 - part) * line[name]["cost"] + part * line[following]["cost"] for line in lines]
+    return None
+
+
+def best_alone(lines: Sequence[Line], seconds: float) -> list[float] | None:
+    """Cost by belief, at some time, of that kind of KMPPI alone which is best on these very beliefs; None past all."""
+    kinds = [[Method(False, *kind[:1], k, kind[1]).name for k in counts] for kind, counts in ALONE.items()]
+    found = [costs for names in kinds if (costs := at_equal_time(lines, names, seconds)) is not None]
+    return min(found, key=sum) if found else None
 
 
 def mean_of(lines: Sequence[Line], name: str, of: str) -> float:
@@ -180,18 +321,21 @@ def mean_of(lines: Sequence[Line], name: str, of: str) -> float:
 
 
 def table(options: Options, lines: Sequence[Line]) -> str:
-    """Markdown: cost and time by method, and by how much a network's plan is cheaper at equal time."""
-    heads = ("from", "beliefs", "planner", "cost", "ms", "cheaper than KMPPI at equal time by", "p")
+    """Markdown: cost and time by method, and by how much a network's plan is cheaper at equal and at twice the time."""
+    heads = ("from", "beliefs", "planner", "cost", "ms", "cheaper at equal time by", "p", "at twice the time", "p")
     rows = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for warm, start in ((False, "noise"), (True, "the plan before")):
         some = [line for line in lines if line["part"] == "belief" and line["warm"] == warm]
-        for one in [Method(own, count) for own in (False, True) for count in options.iterations] if some else ():
+        for one in [*methods_of(False), *methods_of(True)] if some else ():
             cost, seconds = (mean_of(some, one.name, of) for of in ("cost", "seconds"))
-            cells = [start, str(len(some)), one.name, f"{cost:.3f}", f"{1e3 * seconds:.0f}", "", ""]
-            if one.network:
-                other = at_equal_time(some, options.iterations, seconds)
+            cells = [start, str(len(some)), one.name, f"{cost:.3f}", f"{1e3 * seconds:.0f}"]
+            for times in (1.0, 2.0):
+                other = best_alone(some, times * seconds) if one.network else None
+                if other is None:
+                    cells += ["", ""]
+                    continue
                 test = paired([b - line[one.name]["cost"] for line, b in zip(some, other, strict=True)])
-                cells[5:] = ["{mean:.3f} [{low:.3f}, {high:.3f}]".format(**test), f"{test['p']:.2g}"]
+                cells += ["{mean:.3f} [{low:.3f}, {high:.3f}]".format(**test), f"{test['p']:.2g}"]
             rows.append("| " + " | ".join(cells) + " |")
     return "\n".join(rows)
 
@@ -199,34 +343,35 @@ def table(options: Options, lines: Sequence[Line]) -> str:
 def runs_table(lines: Sequence[Line]) -> str:
     """Markdown: whole runs."""
     rows = ["| planner | runs | right | sure and wrong | actions | seconds of a run |", "|---|---|---|---|---|---|"]
-    for own, name in ((False, "KMPPI"), (True, "network and KMPPI")):
-        some = [line for line in lines if line["part"] == "run" and line["network"] == own]
+    for method in IN_RUNS:
+        some = [line for line in lines if line["part"] == "run" and line["network"] == method.network]
         if not some:
             continue
         wrong = sum(line["sure"] and not line["right"] for line in some)
         each = [sum(line[of] for line in some) / len(some) for of in ("actions", "seconds")]
-        cells = (name, len(some), sum(line["right"] for line in some), wrong, f"{each[0]:.2f}", f"{each[1]:.2f}")
+        cells = (method.name, len(some), sum(line["right"] for line in some), wrong, f"{each[0]:.2f}", f"{each[1]:.2f}")
         rows.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(rows)
 
 
-def draw(options: Options, lines: Sequence[Line], file: Path) -> None:
+def draw(lines: Sequence[Line], file: Path) -> None:
     """Cost over time of both, from noise and from the plan before."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(1, 2, figsize=(7, 2.8), layout="constrained", sharey=True)
+    figure, axes = pyplot.subplots(1, 2, figsize=(7, 3.4), layout="constrained", sharey=True)
     for axis, warm, title in zip(axes, (False, True), ("first plan, from noise", "from the plan before"), strict=True):
         some = [line for line in lines if line["part"] == "belief" and line["warm"] == warm]
-        for own, name in ((False, "KMPPI"), (True, "network and KMPPI")) if some else ():
-            names = [Method(own, count).name for count in options.iterations]
+        methods = [*methods_of(False), *methods_of(True)] if some else []
+        for family in dict.fromkeys(one.family for one in methods):
+            names = [one.name for one in methods if one.family == family]
             cost, seconds = ([mean_of(some, one, of) for one in names] for of in ("cost", "seconds"))
-            axis.plot([1e3 * value for value in seconds], cost, "o-", label=name)
+            axis.plot([1e3 * value for value in seconds], cost, "o-", label=family)
         axis.set(title=title, xlabel="processor time of a plan, ms")
     axes[0].set_ylabel("cost of the plan")
-    axes[0].legend()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     figure.savefig(file, dpi=150)
     pyplot.close(figure)
 
@@ -240,7 +385,7 @@ def main(options: Options) -> None:
     lines = [line for line in store.flat() if about(options).items() <= line.items()]
     print(table(options, lines), runs_table(lines), sep="\n\n")
     options.figures.mkdir(parents=True, exist_ok=True)
-    draw(options, lines, options.figures / "plan_proposals.png")
+    draw(lines, options.figures / "plan_proposals.png")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from kmppi import MPPI
 from rumi import build, preset
 from rumi.belief.particles import PoseBelief
 from rumi.cache import cache_folder
@@ -40,12 +41,12 @@ class Moment(NamedTuple):
         """The belief."""
         return PoseBelief.uniform(self.world_T_object).reweighted(self.log_weights)
 
-    def turned(self, base: Tensor, angle: float) -> "Moment":
-        """The same with object and tool turned about the arm's base, radians."""
-        there = se3.from_planar(torch.cat((base[:2], base.new_zeros(1))))
-        motion = there @ se3.from_planar(base.new_tensor([0.0, 0.0, angle])) @ se3.inverse(there)
-        tool = se3.to_planar(motion @ se3.from_planar(self.configuration))
-        return self._replace(world_T_object=motion @ self.world_T_object, configuration=tool)
+    def turned(self, angle: float) -> "Moment":
+        """The same with the object turned about where it is believed, radians."""
+        place = self.belief.weights @ self.world_T_object[:, :2, 3]
+        there = se3.from_planar(torch.cat((place, place.new_zeros(1))))
+        motion = there @ se3.from_planar(place.new_tensor([0.0, 0.0, angle])) @ se3.inverse(there)
+        return self._replace(world_T_object=motion @ self.world_T_object)
 
 
 def parts(samples: int, iterations: int, warm_up: int) -> tuple[Task, Rummager]:
@@ -83,21 +84,42 @@ class Method(NamedTuple):
 
     Attributes:
         network: whether it has proposals.
+        samples: of an iteration.
         iterations: of KMPPI.
+        narrow: whether samples are drawn closer about the plan (variance .15 for 1.5) and weighed by their costs alone.
     """
 
     network: bool
+    samples: int
     iterations: int
+    narrow: bool
+
+    @property
+    def family(self) -> str:
+        """What it shares with those of other numbers of iterations, for people."""
+        return f"{'network and ' if self.network else ''}KMPPI {self.samples}{' narrow' if self.narrow else ''}"
 
     @property
     def name(self) -> str:
         """For people."""
-        return f"{'network and ' if self.network else ''}KMPPI x {self.iterations}"
+        return f"{self.family} x {self.iterations}"
+
+    def policy(self, agent: Rummager, network: ProposalNetwork | None, first: int | None = None) -> RummagingPolicy:
+        """An agent's policy that plans so, its first plan by a number of iterations of its own."""
+        own = policy_of(agent)
+        planner = replace(own.settings.mppi, samples=self.samples, iterations=self.iterations)
+        planner = replace(planner, warmup_iterations=first or self.iterations)
+        if self.narrow:
+            planner = replace(planner, noise_variance=0.15, perturbation_cost=False)
+        settings = replace(own.settings, mppi=planner)
+        policy = RummagingPolicy(
+            own.reachability, settings, proposals=network.propose if self.network and network else None
+        )
+        policy.push_models = own.push_models  # what it keeps of the shape is no part of a plan
+        return policy
 
 
-def judge(
-    agent: Rummager, network: ProposalNetwork, moment: Moment, method: Method, samples: int, *, warm: bool
-) -> dict[str, Any]:
+def judge(agent: Rummager, network: ProposalNetwork, moment: Moment, method: Method, *, warm: bool) -> dict[str, float]:
     """Cost of a method's plan of a belief, by more poses than it is planned by, and its time.
 
     Args:
@@ -105,24 +127,24 @@ def judge(
         network: of the proposals.
         moment: what is planned from.
         method: of planning.
-        samples: of an iteration.
         warm: whether the plan before is gone on with; else it starts from noise.
     """
-    own = policy_of(agent)
-    planner = replace(own.settings.mppi, samples=samples, iterations=method.iterations)
-    settings = replace(own.settings, mppi=replace(planner, warmup_iterations=method.iterations))
-    policy = RummagingPolicy(own.reachability, settings, proposals=network.propose if method.network else None)
-    policy.push_models = own.push_models  # what it keeps of the shape is no part of a plan
-    belief, scene, previous = moment.belief, scene_of(agent, moment), None
+    policy = method.policy(agent, network)
+    begun = clock()
+    plan = planned(agent, policy, moment, warm=warm)
+    taken = clock() - begun
+    return {"cost": plan_cost(agent, moment, plan.controls), "seconds": taken}
+
+
+def planned(agent: Rummager, policy: RummagingPolicy, moment: Moment, *, warm: bool) -> Plan:
+    """A policy's plan, from the plan before or from noise."""
+    previous = None
     if warm and moment.knots is not None:
-        before = network.planner.from_knots(moment.knots)
+        before = MPPI(policy.settings.mppi, 3).from_knots(moment.knots)
         previous = Plan(before.controls, moment.configuration[None], warm_start=before)
     random = torch.Generator().manual_seed(moment.seed)
-    request = PlanRequest(belief, scene, previous, executed=moment.executed, generator=random)
-    begun = clock()
-    plan = policy.act(request)
-    taken = clock() - begun
-    return {"cost": plan_cost(agent, belief, scene, plan.controls), "seconds": taken}
+    scene = scene_of(agent, moment)
+    return policy.act(PlanRequest(moment.belief, scene, previous, executed=moment.executed, generator=random))
 
 
 def scene_of(agent: Rummager, moment: Moment) -> Scene:
@@ -131,9 +153,9 @@ def scene_of(agent: Rummager, moment: Moment) -> Scene:
 
 
 @torch.no_grad()
-def plan_cost(agent: Rummager, belief: PoseBelief, scene: Scene, controls: Tensor) -> float:
+def plan_cost(agent: Rummager, moment: Moment, controls: Tensor) -> float:
     """The planner's cost of some controls, the mean over 32 poses of the belief."""
-    own = policy_of(agent)
+    own, belief, scene = policy_of(agent), moment.belief, scene_of(agent, moment)
     poses, log_weights = belief.world_T_object, belief.log_weights
     fields = information_field(agent.model.sdf, poses, log_weights, agent.workspace.points, own.settings.information)
     model = own.push_models.rollouts(agent.model, poses, log_weights, agent.tool, agent.workspace, fields)
@@ -143,11 +165,8 @@ def plan_cost(agent: Rummager, belief: PoseBelief, scene: Scene, controls: Tenso
     return float(own.objective(belief, scene, fields, None).cost(rolled)[0])
 
 
-def whole_run(task: Task, agent: Rummager, network: ProposalNetwork | None, seed: int) -> dict[str, Any]:
-    """How a run of the agent comes out, its policy with or without proposals."""
-    own = policy_of(agent)
-    proposals = None if network is None else network.propose
-    policy = RummagingPolicy(own.reachability, own.settings, proposals=proposals)
+def whole_run(task: Task, agent: Rummager, policy: RummagingPolicy, seed: int) -> dict[str, Any]:
+    """How a run of an agent comes out by some policy."""
     begun = clock()
     result = run(task, replace(agent, policy=policy), seed=seed)
     return {

@@ -4,6 +4,7 @@ The cost has a gradient through the controls, the tool's path, the object that i
 the pads meet; the planner's own cost marks cells, and has none.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -22,12 +23,50 @@ from rumi.fields.information import WorkspaceFields, information_field
 from rumi.fields.workspace import Workspace
 from rumi.planning.policy import PlanRequest
 from rumi.planning.rummaging import RummagingPolicy
+from rumi.robot.tool import Tool
 from rumi.tasks.rummage.agent import Rummager
 from sdf import se3
 
-SIDE = 40  # cells of an image to a side
+SIDE = 41  # nodes of an image to a side, a centimetre apart
+HALF_M = 0.2  # from its middle to its border
 CELLS = 80  # of the most information, by which the soft cost is worked out
+POSES = 16  # of the object, that scenes to train on keep
 CHANNELS = 2
+NUMBERS = 6
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Frame that a scene's plans are told in: x leads from the arm's base past the object, y is mirrored.
+
+    The arm reaches as far in one direction as in the next, and gripper and mug have a plane of symmetry, so that scenes
+    turned about the base or mirrored have the same plans here, and one of them is learnt from.
+
+    Attributes:
+        angle: (*b,), of x from the world's, radians.
+        mirror: (*b,), 1, or -1 where y is the other way round: the tool is never on the side of y > 0.
+    """
+
+    angle: Float[Tensor, "*b"]
+    mirror: Float[Tensor, "*b"]
+
+    @classmethod
+    def of(cls, base: Float[Tensor, "3"], place: Float[Tensor, "2"], configuration: Float[Tensor, "3"]) -> Self:
+        """For an arm's base, where the object is believed to be, and the tool."""
+        x, y = (place - base[:2]).unbind(-1)
+        side = x * (configuration[1] - place[1]) - y * (configuration[0] - place[0])
+        return cls(torch.atan2(y, x), torch.where(side > 0, -1.0, 1.0))
+
+    def to_world(self, inner: Float[Tensor, "*b n 2or3"]) -> Float[Tensor, "*b n 2or3"]:
+        """Vectors (x, y), or motions (x, y, yaw), by world axes."""
+        cos, sin, mirror = (of.unsqueeze(-1) for of in (self.angle.cos(), self.angle.sin(), self.mirror))
+        x, y = inner[..., 0], mirror * inner[..., 1]
+        rest = mirror[..., None] * inner[..., 2:]
+        return torch.cat((torch.stack((cos * x - sin * y, sin * x + cos * y), -1), rest), -1)
+
+    def at(self, rows: Tensor) -> Self:
+        """Of some scenes."""
+        return type(self)(self.angle[rows], self.mirror[rows])
 
 
 @dataclass(frozen=True)
@@ -36,38 +75,57 @@ class Summary:
 
     Attributes:
         image: (*b, 2, SIDE, SIDE), information and contact probability about the believed place.
-        tool: (*b, 6), place of the tool from there, cosine and sine of its yaw, and the believed place.
+        frame: that image and tool are told in.
+        tool: (*b, 6), the tool's place from there, cosine and sine of its yaw, and how far it and the base are.
     """
 
     image: Float[Tensor, "*b 2 S S"]
+    frame: Frame
     tool: Float[Tensor, "*b 6"]
 
     @classmethod
     def of(
-        cls, belief: PoseBelief, fields: WorkspaceFields, workspace: Workspace, configuration: Float[Tensor, "3"]
+        cls,
+        belief: PoseBelief,
+        fields: WorkspaceFields,
+        workspace: Workspace,
+        tool: Tool,
+        configuration: Float[Tensor, "3"],
     ) -> Self:
         """Of one belief, by its fields on a planar workspace."""
-        place = belief.weights @ belief.world_T_object[:, :2, 3]
+        assert tool.reach is not None
+        place, base = belief.weights @ belief.world_T_object[:, :2, 3], tool.reach.base[:2]
+        frame = Frame.of(tool.reach.base, place, configuration)
+        axis = torch.linspace(-HALF_M, HALF_M, SIDE)
+        nodes = place + frame.to_world(torch.cartesian_prod(axis, axis))
+        last = nodes.new_tensor([n - 1.0 for n in workspace.shape[:2]])
+        at = 2.0 * (nodes - workspace.origin[:2]) / (workspace.spacing * last) - 1.0
         maps = torch.stack((fields.information / fields.information.max().clamp_min(1e-9), fields.contact))
-        padded = functional.pad(maps.view(CHANNELS, *workspace.shape[:2]), [SIDE // 2] * 4)
-        node = ((place - workspace.origin[:2]) / workspace.spacing).round().long()
-        node = torch.minimum(node.clamp_min(0), node.new_tensor(workspace.shape[:2]))
-        rows, columns = (slice(first, first + SIDE) for first in node.tolist())
-        x, y, yaw = configuration[0] - place[0], configuration[1] - place[1], configuration[2]
-        tool = torch.stack((4.0 * x, 4.0 * y, yaw.cos(), yaw.sin(), 4.0 * place[0] - 2.0, 4.0 * place[1]))
-        return cls(padded[:, rows, columns].clone(), tool)
+        maps = maps.view(1, CHANNELS, *workspace.shape[:2])
+        image = functional.grid_sample(maps, at.flip(-1).view(1, SIDE, SIDE, 2), align_corners=True)[0]
+        away, yaw = configuration[:2] - place, configuration[2] - frame.angle
+        along, across = torch.stack((frame.angle.cos(), frame.angle.sin())), frame.mirror
+        beside = across * (along[0] * away[1] - along[1] * away[0])
+        far, reached = away.norm(), (place - base).norm()
+        numbers = (4.0 * along @ away, 4.0 * beside, yaw.cos(), across * yaw.sin(), 4.0 * far, 4.0 * reached - 4.0)
+        return cls(image, frame, torch.stack(numbers))
+
+    def at(self, rows: Tensor) -> Self:
+        """Of some scenes."""
+        return type(self)(self.image[rows], self.frame.at(rows), self.tool[rows])
 
 
 class ProposalNetwork(nn.Module):
-    """Convolutional network from the summary of a belief to the knots of a few nominal plans.
+    """Convolutional network from the summary of a belief to the knots of a set of nominal plans.
 
     Args:
         planner: settings of the planner that the knots are for.
         proposals: nominal plans P.
-        width: of the layers.
+        width: channels of the first layer.
+        hidden: units of the layers after those.
     """
 
-    def __init__(self, planner: MPPISettings, *, proposals: int = 4, width: int = 24) -> None:
+    def __init__(self, planner: MPPISettings, *, proposals: int = 32, width: int = 24, hidden: int = 384) -> None:
         super().__init__()
         self.planner = MPPI(planner, 3)
         self.shape = (proposals, self.planner.parameterization.knots, 3)
@@ -79,25 +137,35 @@ class ProposalNetwork(nn.Module):
             nn.Conv2d(2 * width, 2 * width, 3, 2, 1),
             nn.GELU(),
             nn.Flatten(),
+            nn.LazyLinear(hidden),
         )
+        self.tool = nn.Sequential(nn.Linear(NUMBERS, 128), nn.GELU(), nn.Linear(128, hidden))
         self.head = nn.Sequential(
-            nn.Linear(2 * width * (SIDE // 8) ** 2 + 6, 256),
             nn.GELU(),
-            nn.Linear(256, 128),
+            nn.Linear(hidden, hidden),
             nn.GELU(),
-            nn.Linear(128, self.shape[0] * self.shape[1] * 3),
+            nn.Dropout(0.1),
+            nn.Linear(hidden, self.shape[0] * self.shape[1] * 3),
         )
+        self(torch.zeros(1, CHANNELS, SIDE, SIDE), torch.zeros(1, NUMBERS))  # the lazy layer takes its size
 
     def forward(self, image: Float[Tensor, "B 2 S S"], tool: Float[Tensor, "B 6"]) -> Float[Tensor, "B P K 3"]:
-        """Knots within the limits."""
-        return self.head(torch.cat((self.body(image), tool), -1)).view(-1, *self.shape).tanh()
+        """Knots by the axes of the scenes' frames."""
+        # limits are the world's, so that turned controls may be longer
+        return math.sqrt(2.0) * self.head(self.body(image) + self.tool(tool)).view(-1, *self.shape).tanh()
+
+    def plans(self, seen: Summary) -> Float[Tensor, "B P K 3"]:
+        """Knots of nominal plans for a batch of scenes, within the limits."""
+        knots = self(seen.image, seen.tool)
+        return seen.frame.to_world(knots.flatten(1, 2)).view_as(knots).clamp(-1.0, 1.0)
 
     @torch.no_grad()
     def propose(self, request: PlanRequest, fields: WorkspaceFields) -> Float[Tensor, "P K 3"]:
         """The `PlanProposals` of a policy."""
         scene = request.scene
-        seen = Summary.of(request.belief, fields, scene.workspace, scene.configuration)
-        return self(seen.image[None], seen.tool[None])[0]
+        seen = Summary.of(request.belief, fields, scene.workspace, scene.tool, scene.configuration)
+        frame = Frame(seen.frame.angle[None], seen.frame.mirror[None])
+        return self.plans(Summary(seen.image[None], frame, seen.tool[None]))[0]
 
 
 @dataclass(frozen=True)
@@ -110,6 +178,8 @@ class Scenes:
         poses: (B, N, 3), particles (x, y, yaw) of equal weight.
         cells: (B, C, 2), places of the most information, metres.
         worth: (B, C), their share of all information.
+        knots: (B, T, K, 3), of good plans.
+        costs: (B, T), of those.
     """
 
     seen: Summary
@@ -117,32 +187,51 @@ class Scenes:
     poses: Float[Tensor, "B N 3"]
     cells: Float[Tensor, "B C 2"]
     worth: Float[Tensor, "B C"]
+    knots: Float[Tensor, "B T K 3"]
+    costs: Float[Tensor, "B T"]
 
     @classmethod
     def of(
-        cls, beliefs: Sequence[PoseBelief], configurations: Sequence[Tensor], agent: Rummager, random: torch.Generator
+        cls,
+        agent: Rummager,
+        belief: PoseBelief,
+        configuration: Float[Tensor, "3"],
+        knots: Float[Tensor, "T K 3"],
+        costs: Float[Tensor, "T"],
+        random: torch.Generator,
     ) -> Self:
-        """Of beliefs of one agent, each with its fields; particles are drawn by their weights."""
-        seen, poses, cells, worth = [], [], [], []
-        settings = policy_of(agent).settings.information
-        for belief, configuration in zip(beliefs, configurations, strict=True):
-            where = agent.workspace.points
-            found = information_field(agent.model.sdf, belief.world_T_object, belief.log_weights, where, settings)
-            seen.append(Summary.of(belief, found, agent.workspace, configuration))
-            most = found.information.topk(CELLS)
-            cells.append(where[most.indices, :2])
-            worth.append(most.values / found.information.sum().clamp_min(1e-9))
-            index = torch.multinomial(belief.weights, 64, replacement=True, generator=random)
-            poses.append(se3.to_planar(belief.world_T_object[index]))
-        summary = Summary(torch.stack([one.image for one in seen]), torch.stack([one.tool for one in seen]))
-        return cls(
-            summary, torch.stack(tuple(configurations)), torch.stack(poses), torch.stack(cells), torch.stack(worth)
+        """Of one belief of an agent (B = 1), with its fields; particles are drawn by their weights."""
+        where, settings = agent.workspace.points, policy_of(agent).settings.information
+        found = information_field(agent.model.sdf, belief.world_T_object, belief.log_weights, where, settings)
+        most = found.information.topk(CELLS)
+        index = torch.multinomial(belief.weights, POSES, replacement=True, generator=random)
+        one = cls(
+            Summary.of(belief, found, agent.workspace, agent.tool, configuration),
+            configuration,
+            se3.to_planar(belief.world_T_object[index]),
+            where[most.indices, :2],
+            most.values / found.information.sum().clamp_min(1e-9),
+            knots,
+            costs,
         )
+        return cls.from_parts([part[None] for part in one.parts])
+
+    @property
+    def parts(self) -> tuple[Tensor, ...]:
+        """All tensors, to be kept."""
+        seen, frame = self.seen, self.seen.frame
+        own = (self.configuration, self.poses, self.cells, self.worth, self.knots, self.costs)
+        return (seen.image, frame.angle, frame.mirror, seen.tool, *own)
+
+    @classmethod
+    def from_parts(cls, parts: Sequence[Tensor]) -> Self:
+        """Of `parts`."""
+        image, angle, mirror, tool, *own = parts
+        return cls(Summary(image, Frame(angle, mirror), tool), *own)
 
     def at(self, rows: Tensor) -> Self:
         """Some of the scenes."""
-        seen = Summary(self.seen.image[rows], self.seen.tool[rows])
-        return type(self)(seen, self.configuration[rows], self.poses[rows], self.cells[rows], self.worth[rows])
+        return self.from_parts([part[rows] for part in self.parts])
 
 
 def policy_of(agent: Rummager) -> RummagingPolicy:

@@ -55,7 +55,7 @@ class RummagingPolicy:
     Args:
         reachability: r(x) of every workspace point in [0, 1] (Eq 30); may be None where reachability_scale is 0.
         settings: of sampling, costs and the push model.
-        proposals: further nominal plans, such as a trained network's; None for none.
+        proposals: further nominal plans, such as a trained network's; the best is sampled around. None for none.
         now: the clock that budgets are held against.
     """
 
