@@ -170,7 +170,9 @@ def all_in_reach(monkeypatch: pytest.MonkeyPatch, cache: Path) -> Path:
 
     zeros = torch.zeros(reach_table.table_shape(reach_table.ReachSettings()), dtype=torch.float64)
     monkeypatch.setattr(reach_table, "solve_table", lambda settings: reach_table.ReachTable(zeros, zeros))
-    return cache / "all-in-reach"
+    folder = cache / "all-in-reach"
+    monkeypatch.setenv("RUMI_CACHE", str(folder))  # no table of it may stand for that of the arm
+    return folder
 
 
 @pytest.fixture

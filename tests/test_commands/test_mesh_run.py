@@ -42,7 +42,7 @@ def run_small(*more):
     return main(["run", "mug-0", "--steps", "1", "--no-figures", *more])
 
 
-def test_a_run_with_a_mesh(mesh, capsys, cache):
+def test_a_run_with_a_mesh(mesh, capsys, all_in_reach):
     options = (*SMALL, "--mesh", str(mesh), "--mass", "0.5", "--friction", "0.4", "--upright", "0", "0", "20")
     assert run_small(*options) == exit_codes.NOT_CONVERGED
     folder = Path("runs/mug-0-my-mug-rumi-default-s0")
@@ -55,7 +55,7 @@ def test_a_run_with_a_mesh(mesh, capsys, cache):
     assert said["symmetry"] == "none"
     own = from_dict(run.settings).object
     assert (own.mass_kg, own.friction, own.upright, own.mesh) == (0.5, 0.4, (0.0, 0.0, 20.0), str(mesh))
-    assert any(cache.glob("mesh-*.npz"))
+    assert any(all_in_reach.glob("mesh-*.npz"))
     # drawn from the folder alone
     mesh.unlink()
     pytest.importorskip("matplotlib")

@@ -24,6 +24,12 @@ LAUNCHES = 300
 PASSES = [("mug-0", "quasi-static"), ("mug-0", "displacement"), ("drill-0", "displacement")]
 
 
+@pytest.fixture
+def reach(task, request):
+    """Folder of reach tables: of an arm that reaches everywhere, in a folder of its own, for what moves in space."""
+    return request.getfixturevalue("cache" if task == "mug-0" else "all_in_reach")
+
+
 def scene_of(task, push_model, cache):
     """A task's policy, a belief of some poses about its workspace's middle, and the scene before the first action.
 
@@ -67,8 +73,8 @@ def plans(policy, belief, scene, *, device="cpu", count=3) -> list[Plan]:
 
 @pytest.mark.sim
 @pytest.mark.parametrize(("task", "push_model"), PASSES)
-def test_a_pass_is_few_launches_and_no_wait(task, push_model, cache, all_in_reach):
-    policy, belief, scene = scene_of(task, push_model, all_in_reach if task != "mug-0" else cache)
+def test_a_pass_is_few_launches_and_no_wait(task, push_model, reach):
+    policy, belief, scene = scene_of(task, push_model, reach)
     with pretended_gpu() as counts:
         held = moved("cuda", policy, belief, scene)
         before = plans(*held, device="cuda", count=2)  # what is made once for an object is made
@@ -107,11 +113,11 @@ def test_what_is_not_finite_is_told_at_the_end(cache):
 @pytest.mark.gpu
 @pytest.mark.sim
 @pytest.mark.parametrize(("task", "push_model"), PASSES)
-def test_a_pass_on_a_gpu(task, push_model, cache, all_in_reach):
+def test_a_pass_on_a_gpu(task, push_model, reach):
     """Kernels by the profiler; a wait within the pass is an error; costs near those of the CPU for the same samples."""
     from torch.profiler import ProfilerActivity, profile
 
-    policy, belief, scene = scene_of(task, push_model, all_in_reach if task != "mug-0" else cache)
+    policy, belief, scene = scene_of(task, push_model, reach)
     held = moved("cuda", policy, belief, scene)
     before = plans(*held, device="cuda", count=2)
     torch.cuda.synchronize()
