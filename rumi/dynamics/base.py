@@ -130,10 +130,12 @@ class PushDefaults(NamedTuple):
     Attributes:
         reachability_scale: weight of the reachability cost (beta_R).
         rollouts: of each control sequence.
+        least_share: of the information, what a plan has to gather not to be made anew with less weight on reach.
     """
 
     reachability_scale: float
     rollouts: int
+    least_share: float = 0.0
 
 
 # metres off upright or off a height at which a particle's outline is another

@@ -32,7 +32,7 @@ class QuasiStaticPush(PushModel):
         posterior: over friction and limit surface, in place of the settings' own.
     """
 
-    defaults = PushDefaults(reachability_scale=4.0, rollouts=8)
+    defaults = PushDefaults(reachability_scale=4.0, rollouts=8, least_share=0.03)
     objects = "planar"
 
     def __init__(self, settings: QuasiStaticSettings, posterior: PushPosterior | None = None) -> None:

@@ -84,22 +84,18 @@ class RummagingPolicy:
         A plan that gathers next to nothing, since all else would cost reach, is made anew with less weight on reach: a
         run that is not over gains nothing by standing still.
         """
-        plan = self.planned(request)
-        for relaxed in range(_RELAXED if request.budget_s is None else 0):
-            if not self._stands_still(plan):
+        plan, suited = self.planned(request), self.suited(request.belief, request.scene)
+        for relaxed in range(_RELAXED if self._weighs_both(suited) and request.budget_s is None else 0):
+            if sum(plan.info["predicted_information"]) >= suited.least_share * plan.info["information_total"]:
                 break
             before, plan = plan, self.planned(request, reach_share=_EASED ** (relaxed + 1))
             spent = {stage: s + plan.timings_s.get(stage, 0.0) for stage, s in before.timings_s.items()}
             plan = replace(plan, timings_s=spent)
         return plan
 
-    def _stands_still(self, plan: Plan) -> bool:
-        """Whether a plan gathers less than the least share of the information, for the sake of reach."""
-        own = self.settings
-        reach = self.reachability is not None and own.reachability_scale != 0
-        if not (reach and own.information_scale > 0):
-            return False
-        return sum(plan.info["predicted_information"]) < own.least_share * plan.info["information_total"]
+    def _weighs_both(self, suited: PushDefaults) -> bool:
+        """Whether plans weigh information against reach, so that reach may be eased."""
+        return self.reachability is not None and suited.reachability_scale > 0 and self.settings.information_scale > 0
 
     def planned(self, request: PlanRequest, reach_share: float = 1.0) -> Plan:
         """The plan with a share of the weight on reach.

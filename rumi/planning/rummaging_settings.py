@@ -29,8 +29,8 @@ class RummagingSettings(PushSettings):
         reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out. None for what suits the push
             model, its `defaults`.
         least_share: of the information, what a plan has to gather: else reach is what keeps it from the object, and
-            it is made anew with a quarter of the weight on reach, up to three times. 0 takes any plan, as the paper
-            does. Plans with a budget are made once.
+            it is made anew with a quarter of the weight on reach, up to three times. 0 takes any plan. None for what
+            suits the push model, its `defaults`. Plans with a budget are made once.
         information_discount: factor by which information is worth less with each action until it is gathered. At 1,
             the paper's, a plan may put its touches off to the end of the horizon, and so may the next plan.
         normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
@@ -47,7 +47,7 @@ class RummagingSettings(PushSettings):
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: NotNegative = 1.0
     reachability_scale: NotNegative | None = None
-    least_share: Share = 0.03
+    least_share: Share | None = None
     information_discount: ShareAbove0 = 0.9
     normalise_information: bool = True
     displaced_information: bool = True
@@ -65,7 +65,9 @@ class RummagingSettings(PushSettings):
         """What is set, or else suits a push model other than "auto"."""
         best, reach, rollouts = PUSH_MODELS[push_model].defaults, self.reachability_scale, self.rollouts
         return PushDefaults(
-            best.reachability_scale if reach is None else reach, best.rollouts if rollouts is None else rollouts
+            best.reachability_scale if reach is None else reach,
+            best.rollouts if rollouts is None else rollouts,
+            best.least_share if self.least_share is None else self.least_share,
         )
 
     @classmethod

@@ -121,7 +121,7 @@ def test_a_plan_that_stands_still_for_the_sake_of_reach_is_made_anew(scene: Scen
     heavy = replace(SMALL, reachability_scale=3000.0)
     still = gathered(replace(heavy, least_share=0.0))
     assert asked == [1.0] and still < 0.03
-    eased = gathered(heavy)
+    eased = gathered(replace(heavy, least_share=0.03))
     assert asked[:2] == [1.0, 0.25] and len(asked) <= 4 and eased > still
     gathered(replace(heavy, least_share=1.0))
     assert asked == [1.0, 0.25, 0.0625, 0.015625]
@@ -198,9 +198,9 @@ def test_the_quasi_static_model_plans_too(scene: Scene) -> None:
 
 def test_weight_and_rollouts_suit_the_push_model(scene: Scene) -> None:
     settings = RummagingSettings()
-    assert settings.suited("displacement") == (2.0, 5)
-    assert settings.suited("quasi-static") == (4.0, 8)
-    assert replace(settings, rollouts=1, reachability_scale=0.0).suited("quasi-static") == (0.0, 1)
+    assert settings.suited("displacement") == (2.0, 5, 0.0)
+    assert settings.suited("quasi-static") == (4.0, 8, 0.03)
+    assert replace(settings, rollouts=1, reachability_scale=0.0).suited("quasi-static") == (0.0, 1, 0.03)
     # which one pushes is seen from the belief: upright particles slide and turn, tilted ones are carried along
     believed, policy = belief(), RummagingPolicy(torch.ones(1), settings)
     assert policy.suited(believed, scene) == settings.suited("quasi-static")
