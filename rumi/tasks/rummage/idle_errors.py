@@ -34,8 +34,6 @@ def _idle(spec: TaskSpec, own: SimSettings) -> dict[str, str]:
     else:
         names = ("pads.dead", "pads.patch_m", "pads.missed", "pads.false", "view.mask_px", "cleared_by")
         found |= dict.fromkeys(names, "--simulator.sensors.kind points")
-        if own.guarded == "always":
-            found["guarded"] = "--simulator.sensors.kind points"
     if spec.camera is None:
         needs = "a task with a camera"
         found |= {f"sensors.{name}": needs for name in _OF_CAMERA}

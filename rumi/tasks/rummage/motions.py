@@ -236,6 +236,12 @@ def check_pushing(spec: TaskSpec, settings: Settings) -> None:
             raise UsageError(
                 f"Expected --filter.motion trajectory, an upright object and a level tool with --{flag}: {why}"
             )
+    simulator = settings.simulator
+    if simulator.guarded == "always" and simulator.sensors.kind != "points":
+        raise UsageError(
+            "Expected --simulator.sensors.kind points with --simulator.guarded always: pads that feel points end an "
+            f"action, got {simulator.sensors.kind}"
+        )
     if settings.filter.motion == "trajectory":
         check_trajectory(settings)
         if is_planar(spec) and spec.prior is not None:

@@ -83,6 +83,13 @@ def test_actions_are_guarded_where_nothing_measures_how_an_upright_object_is_pus
         assert world.settings.guarded == "always"
 
 
+def test_guarded_moves_need_pads_that_feel_points(cache):
+    settings = preset(task="mug")
+    own = replace(settings.simulator, guarded="always", sensors=replace(settings.simulator.sensors, kind="camera"))
+    with pytest.raises(UsageError, match="guarded always: pads that feel points"):
+        build(replace(settings, simulator=own), cache_dir=cache)
+
+
 def test_runs_on_record_keep_what_their_errors_counted_as():
     made = to_dict(preset(task="mug"))
     del made["filter"]["stated_errors"]
