@@ -392,7 +392,7 @@ def test_a_frame_that_is_not_there_is_refused_when_it_is_imported(bags, tmp_path
         (("within = [[0, 0, 0], [1, 1, 1]]", "within = [[0, 0, 0], [1, 0, 1]]"), "a lower and an upper corner"),
         (("builtin", "buildin"), "no setting scene.buildin; there are"),
         (("[frames]", "[frames"), "is no TOML"),
-        (("[scene]", "[wrench]\n[scene]"), "expected either radius_m, of a ball, or mesh"),
+        (("[scene]", "[wrench]\n[scene]"), "expected either radius_m, of a ball or a rod, or mesh"),
     ],
 )
 def test_mappings_that_are_wrong_are_named(change, message):
