@@ -214,7 +214,8 @@ class MujocoPush(PushModel):
         settings: of the engine.
     """
 
-    defaults = PushDefaults(reachability_scale=4.0, rollouts=8, least_share=0.03)  # the quasi-static model's: not tuned by itself
+    # the quasi-static model's: not tuned by themselves
+    defaults = PushDefaults(reachability_scale=4.0, rollouts=8, least_share=0.03)
     objects = "upright"
 
     def __init__(self, settings: EngineSettings) -> None:

@@ -41,7 +41,8 @@ def task_named(name, arm_tool, mug, **changes):
     return make_task(replace(SCENES[name], **changes), tool=arm_tool, model=mug)
 
 
-# motions that bring each mug round until the pads feel its handle (from runs of seeds 1000 and 1001, the last two changed a little)
+# motions that bring each mug round until the pads feel its handle (from runs of seeds 1000 and 1001, the last two
+# changed a little)
 BRINGING_ROUND = {
     "mug-0": [
         (0.43, 0.57, 1), (0.69, 0.18, 1), (1, -0.16, 1), (1, 0.75, -0.86), (0.76, 0.48, -1), (0.76, 0.23, -0.9),
