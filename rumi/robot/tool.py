@@ -185,12 +185,14 @@ class Tool(nn.Module):
         if mini_steps == 1:
             return ends
         steps = controls * self.scale
+        limited = (ends != q[..., None, :] + steps.cumsum(-2)).flatten(-2).any(-1)
         even = q[..., None, :] + (steps / mini_steps).repeat_interleave(mini_steps, dim=-2).cumsum(-2)
+        if is_eager() and not bool(limited.any()):
+            return self._held(q, even)
         start = q[..., None, :].expand(*ends.shape[:-2], 1, q.shape[-1])
         begins = torch.cat((start, ends[..., :-1, :]), -2)[..., None, :]
         share = torch.arange(1, mini_steps + 1, dtype=ends.dtype, device=ends.device)[:, None] / mini_steps
         cut_short = (begins + share * (ends[..., None, :] - begins)).flatten(-3, -2)
-        limited = (ends != q[..., None, :] + steps.cumsum(-2)).flatten(-2).any(-1)
         return self._held(q, torch.where(limited[..., None, None], cut_short, even))
 
     def _held(self, q: Float[Tensor, "*#b Q"], path: Float[Tensor, "*b T Q"]) -> Float[Tensor, "*b T Q"]:
@@ -199,6 +201,8 @@ class Tool(nn.Module):
             return path
         limit = self.reach.residual(q).clamp_min(self.reach.settings.tolerance_m) + SLACK_M
         reached = self.reach.residual(path) <= limit[..., None]
+        if is_eager() and bool(reached.all()):
+            return path
         count = reached.to(torch.uint8).cumprod(-1).sum(-1, dtype=torch.long)[..., None]
         last = torch.minimum(torch.arange(1, path.shape[-2] + 1, device=path.device), count)[..., None]
         whole = torch.cat((q[..., None, :].expand(*path.shape[:-2], 1, q.shape[-1]), path), -2)

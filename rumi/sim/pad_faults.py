@@ -58,6 +58,8 @@ class PadFaults:
 
     def felt(self, touched: Bool[Tensor, "K n"], draws: PadDraws) -> Bool[Tensor, "K n"]:
         """What is reported where `touched` would be, in the first K instants of those that were drawn for."""
+        if not bool(touched.any() | draws.false.any()):
+            return touched
         found = touched & ~(draws.missed[: len(touched), :, None] & self._own).any(1)
         for instant, pad in draws.false[: len(touched)].nonzero().tolist():
             own = self._own[pad].nonzero()[:, 0]
