@@ -55,7 +55,7 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
             uz, uyaw = 0.0, controls[k, h, 2] * action[2]
         else:
             uz, uyaw = controls[k, h, 2] * action[2], controls[k, h, 3] * action[3]
-        free_x, free_y, free_z, free_yaw, left, _, _ = step_within(
+        free_x, free_y, free_z, free_yaw, left = step_within(
             free_x,
             free_y,
             free_z,
@@ -75,7 +75,7 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
             to_x, to_y, to_z, to_yaw = free_x, free_y, free_z, free_yaw
             if strayed[g]:
                 rest = residual(x, y, z, yaw, tables, base, limits)
-                to_x, to_y, to_z, to_yaw, _, _, _ = step_within(
+                to_x, to_y, to_z, to_yaw, _ = step_within(
                     x, y, z, yaw, x + ux, y + uy, z + uz, yaw + uyaw, rest, tables, base, bounds, limits
                 )
             stuck[g] = False

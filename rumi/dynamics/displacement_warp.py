@@ -41,7 +41,7 @@ def _roll_out(
     table: wp.array4d(dtype=Any),
     base: wp.array(dtype=Any),
     bounds: wp.array2d(dtype=Any),
-    limits: gpu.Numbers(10),
+    limits: gpu.Numbers(11),
     points: wp.array2d(dtype=Any),
     order: wp.array(dtype=wp.int64),
     starts: wp.array(dtype=wp.int64),

@@ -123,7 +123,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
     # in double precision from the start: else numba compiles all that they are given to once for each
     free_x, free_y, free_yaw = np.float64(path[k, 0, 0]), np.float64(path[k, 0, 1]), np.float64(path[k, 0, 2])
     for h in range(actions):
-        free_x, free_y, _height, free_yaw, left, _, _ = step_within(
+        free_x, free_y, _height, free_yaw, left = step_within(
             free_x,
             free_y,
             0.0,

@@ -10,11 +10,14 @@ from torch import Tensor, nn
 from rumi.robot.border import Border, near_groups
 from rumi.robot.cover import Cover, covering_discs
 from rumi.robot.gripper import GripperShape
-from rumi.robot.limited_step import PARTS, SLACK_M, limited_step
+from rumi.robot.limited_step import LEGS, PARTS, SLACK_M, limited_step, limited_way
 from rumi.robot.reach import Reach
 from rumi.robot.tool_shape import ToolShape
 from sdf import backend, gpu, se3
 from sdf.check import check_shape, is_eager
+
+CHORD_M = 1e-4
+"""By how much the straight way between two ends of legs along the limit may be beyond it, metres."""
 
 
 def level_pose(q: Float[Tensor, "*b Q"], height_m: float | None) -> Float[Tensor, "*b 4 4"]:
@@ -166,10 +169,10 @@ class Tool(nn.Module):
     ) -> Float[Tensor, "*#b T Q"]:
         """Configurations after each mini step of some controls, if nothing is in the way: `free_step`s, evenly.
 
-        A control ends at the same place whatever number of mini steps it is carried out in, and goes there straight: a
-        plan that counts whole actions and a robot that is sent along their parts agree, at the arm's limit too. Where
-        the arm cannot reach something in between, the path ends before it. A path is the same to the bit whatever
-        others it is asked for with.
+        A control ends at the same place whatever number of mini steps it is carried out in: a plan that counts whole
+        actions and a robot that is sent along their parts agree, at the arm's limit too. It goes straight, or leg by
+        leg where it meets the limit (`limited_way`). Where the arm cannot reach something in between, the path ends
+        before it. A path is the same to the bit whatever others it is asked for with.
 
         Args:
             q: (*b, Q), configuration now (batch axes broadcast).
@@ -189,17 +192,21 @@ class Tool(nn.Module):
         even = q[..., None, :] + (steps / mini_steps).repeat_interleave(mini_steps, dim=-2).cumsum(-2)
         if is_eager() and not bool(limited.any()):
             return self._held(q, even)
-        start = q[..., None, :].expand(*ends.shape[:-2], 1, q.shape[-1])
-        begins = torch.cat((start, ends[..., :-1, :]), -2)[..., None, :]
-        share = torch.arange(1, mini_steps + 1, dtype=ends.dtype, device=ends.device)[:, None] / mini_steps
-        cut_short = (begins + share * (ends[..., None, :] - begins)).flatten(-3, -2)
-        return self._held(q, torch.where(limited[..., None, None], cut_short, even))
+        begins = torch.cat((q[..., None, :].expand(*ends.shape[:-2], 1, q.shape[-1]), ends[..., :-1, :]), -2)
+        residual = None if self.reach is None else self.reach.residual(begins)
+        legs = limited_way(self.bounds, self.reach, begins, begins + steps, residual)
+        knots = torch.cat((begins[..., None, :], legs), -2)
+        place = torch.arange(1, mini_steps + 1, dtype=ends.dtype, device=ends.device) * (LEGS / mini_steps)
+        below = (place.ceil().long() - 1).clamp(0, LEGS - 1)
+        share = (place - below)[:, None]
+        round_limit = knots[..., below, :].lerp(knots[..., below + 1, :], share.expand_as(knots[..., below, :]))
+        return self._held(q, torch.where(limited[..., None, None], round_limit.flatten(-3, -2), even))
 
     def _held(self, q: Float[Tensor, "*#b Q"], path: Float[Tensor, "*b T Q"]) -> Float[Tensor, "*b T Q"]:
         """A path that ends before what the arm cannot reach between two places that it can, as beside its base."""
         if self.reach is None:
             return path
-        limit = self.reach.residual(q).clamp_min(self.reach.settings.tolerance_m) + SLACK_M
+        limit = self.reach.residual(q).clamp_min(self.reach.settings.tolerance_m) + CHORD_M
         reached = self.reach.residual(path) <= limit[..., None]
         if is_eager() and bool(reached.all()):
             return path
@@ -250,24 +257,24 @@ class Tool(nn.Module):
         bounds = self.bounds.numpy()
         if self.reach is None:
             none = np.zeros((1,) * self.spatial + (1, 3), bounds.dtype)
-            return none, none.reshape(-1), bounds, np.array((0.0, 0.0, SLACK_M, PARTS))
+            return none, none.reshape(-1), bounds, np.array((0.0, 0.0, SLACK_M, PARTS, LEGS))
         left = self.reach.left.contiguous().numpy()
-        numbers = (1.0, self.reach.settings.tolerance_m, SLACK_M, PARTS, *self.reach.nodes)
+        numbers = (1.0, self.reach.settings.tolerance_m, SLACK_M, PARTS, LEGS, *self.reach.nodes)
         return left, self.reach.base.numpy(), bounds, np.array(numbers)
 
     def arm_tensors(self, like: Tensor) -> tuple[Any, ...]:
-        """What limits a step, for `tool_warp`: reach table, base and bounds like a tensor, and ten numbers."""
+        """What limits a step, for `tool_warp`: reach table, base and bounds like a tensor, and eleven numbers."""
         from rumi.robot.tool_warp import ABOUT_BASE, FREE, IN_BOX
 
-        bounds, none = self.bounds.to(like), [0.0] * 10
+        bounds, none = self.bounds.to(like), [0.0] * 11
         if self.reach is None:
             return bounds.new_empty(1, 1, 1, 1), bounds.new_empty(3), bounds, [float(FREE), *none[1:]]
         left = self._left(like)
         kind = IN_BOX if left.ndim == 4 else ABOUT_BASE
         if kind == ABOUT_BASE:
             left = left.reshape(-1, 1, *left.shape[-2:])
-        numbers = [float(kind), self.reach.settings.tolerance_m, SLACK_M, float(PARTS), *self.reach.nodes]
-        return left, self.reach.base.to(like), bounds, [*numbers, *none][:10]
+        numbers = [float(kind), self.reach.settings.tolerance_m, SLACK_M, float(PARTS), float(LEGS), *self.reach.nodes]
+        return left, self.reach.base.to(like), bounds, [*numbers, *none][:11]
 
     def _left(self, like: Tensor) -> Tensor:
         """The reach's table like a tensor, made once: every plan asks for the same."""

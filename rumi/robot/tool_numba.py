@@ -9,9 +9,6 @@ import math
 
 from sdf.compiled import bare
 
-WHOLE, WITHOUT_TURN, ROUND, CARRIED, STAYED = range(5)
-"""Ways that a step takes: in full; after part of it without its turn, round, turning as it goes round; no further."""
-
 
 @bare
 def _wrapped(angle):
@@ -23,6 +20,14 @@ def _wrapped(angle):
 @bare
 def _within(value, low, high):
     return min(max(value, low), high)
+
+
+@bare
+def _boxed(x, y, z, bounds):
+    """A place within the bounds; in a plane heights are handed through."""
+    if bounds.shape[1] == 3:
+        z = _within(z, bounds[0, 2], bounds[1, 2])
+    return _within(x, bounds[0, 0], bounds[1, 0]), _within(y, bounds[0, 1], bounds[1, 1]), z
 
 
 @bare
@@ -41,7 +46,7 @@ def residual(x, y, z, yaw, table, base, limits):
 def _residual_in_box(x, y, z, yaw, table, limits):
     """The residual from a table over (height, x, y, yaw), and the way beyond it."""
     layers, columns, rows, turns = table.shape
-    low, rise, left, bottom, step, turn = limits[4], limits[5], limits[6], limits[7], limits[8], limits[9]
+    low, rise, left, bottom, step, turn = limits[5], limits[6], limits[7], limits[8], limits[9], limits[10]
     u, v, w = (x - left) / step, (y - bottom) / step, (z - low) / rise
     i, j, k = _within(u, 0.0, columns - 1.0), _within(v, 0.0, rows - 1.0), _within(w, 0.0, layers - 1.0)
     beyond = step * (abs(u - i) + abs(v - j))
@@ -66,7 +71,7 @@ def _residual_in_box(x, y, z, yaw, table, limits):
 @bare
 def _residual_about_base(x, y, z, yaw, table, base, limits):
     """The residual from a table over (radius, yaw from the radial direction), in space over height before these."""
-    radius_step, sector = limits[4], limits[5]
+    radius_step, sector = limits[5], limits[6]
     dx, dy = x - base[0], y - base[1]
     radius, direction = math.sqrt(dx * dx + dy * dy), math.atan2(dy, dx)
     turned, side = abs(_wrapped(yaw - direction)), abs(_wrapped(direction - base[2]))
@@ -78,7 +83,7 @@ def _residual_about_base(x, y, z, yaw, table, base, limits):
     i, j = min(int(u), max(rows - 2, 0)), min(int(v), max(columns - 2, 0))
     a, b = u - i, v - j
     if table.ndim == 3:
-        low, high, layers = limits[6], limits[7], table.shape[0]
+        low, high, layers = limits[7], limits[8], table.shape[0]
         w = _within((z - low) / (high - low) * (layers - 1.0), 0.0, layers - 1.0)
         k = min(int(w), layers - 2)
         c = w - k
@@ -98,24 +103,13 @@ def _residual_about_base(x, y, z, yaw, table, base, limits):
 
 
 @bare
-def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bounds, limits):
-    """Where a step from (x, y, z, yaw) ends, and the arm's residual there; `left` is it now.
-
-    Last comes which way it took, one of those above, and in front of that how many parts of the straight one.
-    """
-    tolerance, slack, parts = limits[1], limits[2], int(limits[3])
-    to_x = _within(to_x, bounds[0, 0], bounds[1, 0])
-    to_y = _within(to_y, bounds[0, 1], bounds[1, 1])
-    if bounds.shape[1] == 3:
-        to_z = _within(to_z, bounds[0, 2], bounds[1, 2])
-    if limits[0] == 0.0:
-        return to_x, to_y, to_z, to_yaw, 0.0, 0, WHOLE
-    limit = max(left, tolerance) + slack
+def _leg(x, y, z, yaw, to_x, to_y, to_z, to_yaw, limit, table, base, bounds, limits):
+    """Where a leg from (x, y, z, yaw) ends, and the arm's residual there."""
     rest = residual(to_x, to_y, to_z, to_yaw, table, base, limits)
     if rest <= limit:
-        return to_x, to_y, to_z, to_yaw, rest, 0, WHOLE
-    # as far as the arm gets on the straight way, a part of the step at a time
-    passed = 0
+        return to_x, to_y, to_z, to_yaw, rest
+    # as far as the arm gets on the straight way, a part of the leg at a time
+    passed, parts = 0, int(limits[3])
     for part in range(1, parts):
         share = part / parts
         here_x, here_y, here_z = x + share * (to_x - x), y + share * (to_y - y), z + share * (to_z - z)
@@ -127,16 +121,34 @@ def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bound
     # and from there round the limit: without the turn, along the circle, along it and turning with it
     rest = residual(to_x, to_y, to_z, yaw, table, base, limits)
     if rest <= limit:
-        return to_x, to_y, to_z, yaw, rest, passed, WITHOUT_TURN
+        return to_x, to_y, to_z, yaw, rest
     from_x, from_y, aim_x, aim_y = x - base[0], y - base[1], to_x - base[0], to_y - base[1]
     stretch = math.sqrt(from_x * from_x + from_y * from_y) / max(math.sqrt(aim_x * aim_x + aim_y * aim_y), 1e-9)
     round_x = _within(base[0] + aim_x * stretch, bounds[0, 0], bounds[1, 0])
     round_y = _within(base[1] + aim_y * stretch, bounds[0, 1], bounds[1, 1])
     rest = residual(round_x, round_y, to_z, to_yaw, table, base, limits)
     if rest <= limit:
-        return round_x, round_y, to_z, to_yaw, rest, passed, ROUND
+        return round_x, round_y, to_z, to_yaw, rest
     carried = yaw + math.atan2(from_x * aim_y - from_y * aim_x, from_x * aim_x + from_y * aim_y)
     rest = residual(round_x, round_y, to_z, carried, table, base, limits)
     if rest <= limit:
-        return round_x, round_y, to_z, carried, rest, passed, CARRIED
-    return x, y, z, yaw, residual(x, y, z, yaw, table, base, limits), passed, STAYED
+        return round_x, round_y, to_z, carried, rest
+    return x, y, z, yaw, residual(x, y, z, yaw, table, base, limits)
+
+
+@bare
+def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bounds, limits):
+    """Where a step from (x, y, z, yaw) ends, and the arm's residual there; `left` is it now."""
+    tolerance, slack, legs = limits[1], limits[2], int(limits[4])
+    part_x, part_y, part_z, part_yaw = (to_x - x) / legs, (to_y - y) / legs, (to_z - z) / legs, (to_yaw - yaw) / legs
+    to_x, to_y, to_z = _boxed(to_x, to_y, to_z, bounds)
+    if limits[0] == 0.0:
+        return to_x, to_y, to_z, to_yaw, 0.0
+    rest = residual(to_x, to_y, to_z, to_yaw, table, base, limits)
+    if rest <= max(left, tolerance) + slack:
+        return to_x, to_y, to_z, to_yaw, rest
+    for _ in range(legs):
+        to_x, to_y, to_z = _boxed(x + part_x, y + part_y, z + part_z, bounds)
+        limit = max(left, tolerance) + slack
+        x, y, z, yaw, left = _leg(x, y, z, yaw, to_x, to_y, to_z, yaw + part_yaw, limit, table, base, bounds, limits)
+    return x, y, z, yaw, left

@@ -2,7 +2,8 @@
 
 A configuration is (x, y, z, yaw); in a plane z is 0. What limits a step comes as `Tool.arm_tensors` gives it: the table
 of what inverse kinematics leaves, always of four axes; the arm's base (x, y, yaw); the bounds (2, D); and numbers,
-which are the kind of table, the tolerance, the slack, the parts of a step, and where the table's nodes are.
+which are the kind of table, the tolerance, the slack, the parts of a leg, the legs of a step, and where the table's
+nodes are.
 """
 
 import math
@@ -80,13 +81,13 @@ def residual(q: Any, table: wp.array4d(dtype=Any), base: wp.array(dtype=Any), nu
     if kind == FREE:
         return none
     if kind == IN_BOX:
-        low, rise, left, bottom = numbers[4], numbers[5], numbers[6], numbers[7]
-        step, turn = numbers[8], numbers[9]
+        low, rise, left, bottom = numbers[5], numbers[6], numbers[7], numbers[8]
+        step, turn = numbers[9], numbers[10]
         i, j, k = (q[0] - left) / step, (q[1] - bottom) / step, (q[2] - low) / rise
         last_i, last_j = type(none)(table.shape[1] - 1), type(none)(table.shape[2] - 1)
         beyond = step * (wp.abs(i - wp.clamp(i, none, last_i)) + wp.abs(j - wp.clamp(j, none, last_j)))
         return _look_up(table, k, i, j, (_wrapped(q[3]) + type(none)(math.pi)) / turn) + beyond
-    radius_step, sector, lowest, highest = numbers[4], numbers[5], numbers[6], numbers[7]
+    radius_step, sector, lowest, highest = numbers[5], numbers[6], numbers[7], numbers[8]
     x, y = q[0] - base[0], q[1] - base[1]
     radius, direction = wp.sqrt(x * x + y * y), wp.atan2(y, x)
     turned, side = wp.abs(_wrapped(q[3] - direction)), wp.abs(_wrapped(direction - base[2]))
@@ -109,38 +110,34 @@ def _boxed(q: Any, bounds: wp.array2d(dtype=Any)):
 
 
 @wp.func
-def step_within(
+def _leg(
     q: Any,
-    wanted: Any,
-    left: Any,
+    reached: Any,
+    limit: Any,
     table: wp.array4d(dtype=Any),
     base: wp.array(dtype=Any),
     bounds: wp.array2d(dtype=Any),
     numbers: Any,
 ):
-    """Where a step from q to `wanted` ends, and the arm's residual there; `left` is it now. See `limited_step`."""
-    reached = _boxed(wanted, bounds)
-    if int(numbers[0]) == FREE:
-        return reached, left
-    limit = wp.max(left, numbers[1]) + numbers[2]
+    """Where a leg from q to `reached` ends, and the arm's residual there."""
     rest = residual(reached, table, base, numbers)
     if rest <= limit:
         return reached, rest
-    # as far as the arm gets on the straight way, a part of the step at a time
+    # as far as the arm gets on the straight way, a part of the leg at a time
     parts, passed = int(numbers[3]), int(0)
     for part in range(1, parts):
-        share = type(left)(part) / type(left)(parts)
+        share = type(limit)(part) / type(limit)(parts)
         if residual(q + (reached - q) * share, table, base, numbers) > limit:
             break
         passed = part
-    halfway = q + (reached - q) * (type(left)(passed) / type(left)(parts))
+    halfway = q + (reached - q) * (type(limit)(passed) / type(limit)(parts))
     # and from there round the limit: without the turn, along the circle, along it and turning with it
     straight = type(q)(reached[0], reached[1], reached[2], halfway[3])
     rest = residual(straight, table, base, numbers)
     if rest <= limit:
         return straight, rest
     x, y, target_x, target_y = halfway[0] - base[0], halfway[1] - base[1], reached[0] - base[0], reached[1] - base[1]
-    length = wp.max(wp.sqrt(target_x * target_x + target_y * target_y), type(left)(1e-9))
+    length = wp.max(wp.sqrt(target_x * target_x + target_y * target_y), type(limit)(1e-9))
     stretch = wp.sqrt(x * x + y * y) / length
     turning = _boxed(
         type(q)(base[0] + target_x * stretch, base[1] + target_y * stretch, reached[2], reached[3]), bounds
@@ -156,6 +153,32 @@ def step_within(
     return halfway, residual(halfway, table, base, numbers)
 
 
+@wp.func
+def step_within(
+    q: Any,
+    wanted: Any,
+    left: Any,
+    table: wp.array4d(dtype=Any),
+    base: wp.array(dtype=Any),
+    bounds: wp.array2d(dtype=Any),
+    numbers: Any,
+):
+    """Where a step from q to `wanted` ends, and the arm's residual there; `left` is it now. See `limited_step`."""
+    reached = _boxed(wanted, bounds)
+    if int(numbers[0]) == FREE:
+        return reached, left
+    rest = residual(reached, table, base, numbers)
+    if rest <= wp.max(left, numbers[1]) + numbers[2]:
+        return reached, rest
+    legs = int(numbers[4])
+    part = (wanted - q) / type(left)(legs)
+    now, now_left = type(q)(q), type(left)(left)
+    for _ in range(legs):
+        limit = wp.max(now_left, numbers[1]) + numbers[2]
+        now, now_left = _leg(now, _boxed(now + part, bounds), limit, table, base, bounds, numbers)
+    return now, now_left
+
+
 @gpu.Kernel
 def _free_path(
     starts: wp.array2d(dtype=Any),
@@ -164,7 +187,7 @@ def _free_path(
     table: wp.array4d(dtype=Any),
     base: wp.array(dtype=Any),
     bounds: wp.array2d(dtype=Any),
-    numbers: gpu.Numbers(10),
+    numbers: gpu.Numbers(11),
     path: wp.array3d(dtype=Any),
 ):
     k = wp.tid()

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from rumi.robot.gripper import GripperShape
+from rumi.robot.limited_step import LEGS
 from rumi.robot.reach import Reach, SpatialReach
 from rumi.robot.reach_table import ReachSettings, ReachTable, table_shape
-from rumi.robot.tool import Tool
+from rumi.robot.tool import CHORD_M, Tool
 from sdf import backend, se3
 
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
@@ -221,7 +222,7 @@ def test_batches_keep_their_shape(tool):
 
 def test_never_leaves_reach_or_bounds(tool):
     path = tool.free_path(reachable_starts(tool, 100), controls(100, 10, seed=4), 4)
-    assert bool((tool.reach.residual(path) <= tool.reach.settings.tolerance_m + 1e-9).all())
+    assert bool((tool.reach.residual(path) <= tool.reach.settings.tolerance_m + CHORD_M).all())
     assert bool(((path[..., :2] >= BOUNDS[0]) & (path[..., :2] <= BOUNDS[1])).all())
 
 
@@ -249,14 +250,58 @@ def test_an_action_ends_at_the_same_place_by_any_number_of_mini_steps(tool):
     """A planner of whole actions and a robot that is sent along their parts, at the limit too."""
     q, u = reachable_starts(tool, 400), controls(400, 3, seed=5)
     whole, fine = tool.free_path(q, u, 1), tool.free_path(q, u, 20)
-    blocked = ~tool._inside(q + u[:, 0] * tool.scale)
-    assert int(blocked.sum()) > 30
-    begins = torch.cat((q[:, None], whole[:, :-1]), 1)[:, :, None]
-    share = torch.arange(1, 21, dtype=q.dtype)[:, None] / 20
-    straight = (begins + share * (whole[:, :, None] - begins)).flatten(1, 2)
-    through = (tool.reach.residual(straight) <= tool.reach.settings.tolerance_m + 1e-6).all(-1)
-    assert int((~through).sum()) < 10  # all but what would go through the arm's base
-    torch.testing.assert_close(fine[through], straight[through], atol=1e-12, rtol=0)
+    aim = q + u[:, 0] * tool.scale
+    aim[:, :2] = aim[:, :2].clamp(BOUNDS[0], BOUNDS[1])
+    refused = ~tool.reach.reachable(aim)
+    assert int(refused.sum()) > 30
+    # all but what would go through the arm's base
+    assert int(((fine[:, -1] - whole[:, -1]).abs() > 1e-9).any(-1).sum()) < 10
+    legs = tool.free_path(q, u[:, :1], LEGS)
+    torch.testing.assert_close(legs[refused], _legs(tool, q, u)[refused], atol=1e-9, rtol=0)
+
+
+def _legs(tool, q, controls):
+    """An action leg by leg; a leg that meets the limit ends as a whole action does of which it is all."""
+    ends, settings = [], tool.reach.settings
+    for _ in range(LEGS):
+        aim = q + controls[:, 0] * tool.scale / LEGS
+        aim[:, :2] = aim[:, :2].clamp(BOUNDS[0], BOUNDS[1])
+        limit = tool.reach.residual(q).clamp_min(settings.tolerance_m) + 1e-6
+        rows = []
+        for start, end, most in zip(q, aim, limit, strict=True):
+            rows.append(_leg(tool, start, end, float(most)))
+        q = torch.stack(rows)
+        ends.append(q)
+    return torch.stack(ends, 1)
+
+
+def _leg(tool, q, aim, most):
+    def allowed(at):
+        return float(tool.reach.residual(at)) <= most
+
+    if allowed(aim):
+        return aim
+    passed = 0
+    while passed < 15 and allowed(q + (passed + 1) / 16 * (aim - q)):
+        passed += 1
+    q = q + passed / 16 * (aim - q)
+    base = tool.reach.base[:2]
+    now, then = q[:2] - base, aim[:2] - base
+    circle = torch.maximum(torch.minimum(base + then * (now.norm() / then.norm()), BOUNDS[1]), BOUNDS[0])
+    swing = torch.atan2(now[0] * then[1] - now[1] * then[0], now @ then)
+    for way in (torch.cat((aim[:2], q[2:])), torch.cat((circle, aim[2:])), torch.cat((circle, q[2:] + swing))):
+        if allowed(way):
+            return way
+    return q
+
+
+def test_pushed_out_along_the_limit_it_comes_as_near_as_it_can(tool):
+    """Action by action, no farther from the limit than a part of a leg."""
+    now = torch.tensor([0.58, 0.0, 0.0], dtype=torch.float64)
+    for _ in range(4):
+        now, _ = tool.free_step(now, torch.tensor([1.0, 0.3, 0.0], dtype=torch.float64))
+    farther = now + torch.tensor([now[0] + 0.45, now[1], 0.0]) / float((now[:2] - tool.reach.base[:2]).norm()) * 0.002
+    assert bool(tool.reach.reachable(now)) and not bool(tool.reach.reachable(farther))
 
 
 def test_from_out_of_reach_it_may_come_back(tool):
