@@ -70,9 +70,9 @@ def _missing(displacements, turns, sizes, spacing, step, known, found, part):
     for _ in indices(part, 1):
         count = 0
         for n in range(len(turns)):
-            if n > 0 and turns[n] == turns[n - 1]:
-                if displacements[n, 0] == displacements[n - 1, 0] and displacements[n, 1] == displacements[n - 1, 1]:
-                    continue
+            again = n > 0 and turns[n] == turns[n - 1] and displacements[n, 0] == displacements[n - 1, 0]
+            if again and displacements[n, 1] == displacements[n - 1, 1]:
+                continue
             layer, i, j, up, a, b = _node(displacements, turns, n, sizes, spacing, step)
             for higher in range(2 if up != none else 1):
                 own = known[(layer + higher) % layers]
