@@ -22,8 +22,26 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 @cache
 def available() -> bool:
-    """Whether numba is installed; without it the plain versions run."""
-    return importlib.util.find_spec("numba") is not None
+    """Whether numba is installed, which is loaded then; without it the plain versions run."""
+    if importlib.util.find_spec("numba") is None:
+        return False
+    _load()
+    return True
+
+
+def _load() -> None:
+    """Load numba without scipy's linear algebra, 15 MB that it loads to see whether they are there.
+
+    No kernel here needs any; what else is compiled and multiplies matrices still loads it.
+    """
+    name = "scipy.linalg"
+    hidden: Any = {} if name in sys.modules else {name: None}
+    sys.modules.update(hidden)
+    try:
+        importlib.import_module("numba.np.arraymath")  # which looks for them, at the first kernel otherwise
+    finally:
+        for one in hidden:
+            del sys.modules[one]
 
 
 def supports(*tensors: Tensor) -> bool:

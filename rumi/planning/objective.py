@@ -95,8 +95,8 @@ class TrajectoryCost:
         """Cost of single paths."""
         total = paths.configurations.new_zeros(len(paths.configurations))
         if self.information is not None:
-            seen, moved = paths.in_object_frame() if self.displaced_information else paths.object_fixed()
-            total += self.information_scale * self.information(seen, moved)
+            ridden = paths if self.displaced_information else Paths(*paths.object_fixed())
+            total += self.information_scale * self.information(*ridden)
         if self.reachability is not None:
             with skipped_work.work("reachability_sums", alike=False) as work:
                 moved = paths.displacements
@@ -144,7 +144,8 @@ def cost_of_scenes(
 ) -> Float[Tensor, "B K"]:
     """Costs of a batch of scenes, each by its own cost alone, so that a row is what the scene gives, to the bit.
 
-    One after the other: tables of reach and cells of information are a scene's own, and take their time there.
+    An object that never turns, beside one that may, is taken to turn by 0, which rounds otherwise. One after the other:
+    sums of reach and cells of information are a scene's own, and take their time there.
 
     Args:
         costs: of each scene, such as a `TrajectoryCost`.

@@ -2,6 +2,7 @@
 
 import importlib
 import math
+import subprocess
 import sys
 from pathlib import Path
 
@@ -91,3 +92,14 @@ def test_a_function_of_kernels_refuses_python_which_may_have_it_interpreted():
     table, far = np.zeros((3, 5)), math.hypot(0.3, 0.4) - 0.2
     found = residual(0.3, 0.4, 0.0, 0.0, table, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.1, math.pi])
     assert found == pytest.approx(far)
+
+
+def test_linear_algebra_is_not_loaded_until_it_is_asked_for() -> None:
+    """Numba looks for scipy's by loading it; whoever needs it later has it all the same."""
+    pytest.importorskip("scipy")
+    code = (
+        "import sys; from sdf import compiled; assert compiled.available(); assert 'scipy.linalg' not in sys.modules; "
+        "import numba, numpy; product = numba.njit(lambda a, b: numpy.dot(a, b)); "
+        "assert product(numpy.eye(2), numpy.ones((2, 2))).sum() == 4; assert 'scipy.linalg' in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
