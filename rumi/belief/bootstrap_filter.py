@@ -44,6 +44,7 @@ _WIDER = 1.5  # times as much noise of the later ones
 _KERNEL = (0.0005, 0.0005, 0.01)  # deviations by which what is resampled moves: metres, metres, radians
 _KEPT = 0.98  # correlation of the physics from action to action
 _REMEMBERED = 10  # segments
+_SWEPT, _ASIDE_M = 0.01, 0.001  # least share of a belief that the tool pushes unfelt before a first touch, and how far
 _NARROW_M, _NARROW_RAD, _FEWER = 0.012, 0.2, 3  # deviations of a belief that so many times fewer particles stand for
 
 
@@ -133,9 +134,12 @@ class BootstrapFilter(PoseTrajectoryFilter):
         return now.pose[systematic(log_weights, 0.5, min(self.shown, len(now)))]
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
-        if now.apart:
-            return bool(reading.in_contact.any()) or self._leans(now, log_weights)
-        return super()._pushes(now, log_weights, reading, path)
+        if not now.apart or bool(reading.in_contact.any()) or self._leans(now, log_weights):
+            return super()._pushes(now, log_weights, reading, path)
+        poses = self._poses(now, log_weights)
+        near = (torch.cdist(path[:, 1, :2], poses[:, :2]) < self.model.reach_m).any(0)
+        aside = (self.model.tracks(self.own, poses[near], path)[:, -1] - poses[near])[:, :2].norm(dim=-1) > _ASIDE_M
+        return int(aside.sum()) >= _SWEPT * len(poses)
 
     def _touched(
         self,
@@ -147,34 +151,54 @@ class BootstrapFilter(PoseTrajectoryFilter):
         random: torch.Generator,
     ) -> tuple[Trajectories, list[int]]:
         before, felt, spans, told = (now, log_weights), felt_pads(reading, self.model, self.own), list[int](), 0.0
-        if now.apart and not bool(reading.in_contact[parts[0]].any()):
+        unfelt = now.apart and not bool(reading.in_contact.any())
+        if unfelt:
+            parts = torch.arange(len(path)).split(self.own.instants)
+        elif now.apart and not bool(reading.in_contact[parts[0]].any()):
             parts = [torch.cat(tuple(parts[:2])), *parts[2:]]
         fresh = normal(now.physics.shape, generator=random, dtype=torch.float64)
         now = replace(now, physics=_KEPT * now.physics + math.sqrt(1.0 - _KEPT**2) * fresh)
         for instants in parts:
             tracks = self._tracks(now, log_weights, path[instants])
             segment = pushed(reading, instants, path, felt, tracks, self.model, self.own)
-            if now.apart:
+            if now.apart and not unfelt:
                 now, log_weights = self._met(now, log_weights, segment, random)
-            now, log_weights, gained = self._weighed_pushes(now, log_weights, segment, random, opens=not spans)
+            now, log_weights, gained = self._weighed_pushes(
+                now, log_weights, segment, random, opens=not spans, jumps=not unfelt
+            )
             told, spans = told + gained, [*spans, len(instants)]
             now, log_weights = self._thinned(now, log_weights, random)
-        if told < least_fit(int(reading.in_contact.sum())):
+        if not unfelt and told < least_fit(int(reading.in_contact.sum())):
             return self._jumped(*before, reading, path, random), []
         return now.at(resample_systematic(log_weights, generator=random)), spans
 
     def _weighed_pushes(
-        self, now: Trajectories, log_weights: Tensor, segment: Segment, random: torch.Generator, *, opens: bool
+        self,
+        now: Trajectories,
+        log_weights: Tensor,
+        segment: Segment,
+        random: torch.Generator,
+        *,
+        opens: bool,
+        jumps: bool = True,
     ) -> tuple[Trajectories, Tensor, float]:
         """Draws of motions through a segment, their log-weights, and the log of the readings' mean likelihood.
 
         Where few of them count, more are made, of wider noise and more jumps.
+
+        Args:
+            now: the particles.
+            log_weights: of them.
+            segment: of the action.
+            random: of the draws.
+            opens: whether the action begins with it.
+            jumps: whether some may jump.
         """
         history, found = now.history.appended(segment, opens=opens), list[Trajectories]()
         whole, wanted = torch.empty(0, dtype=torch.float64), max(1.0, len(now) / _FIT)
         for again in range(_TRIES):
-            jumps = (_MORE_JUMPS if again else _JUMPS * opens) if len(segment.points) else 0.0
-            some = self._some_jumped(now, segment, jumps, random)
+            share = (_MORE_JUMPS if again else _JUMPS * opens) if jumps and len(segment.points) else 0.0
+            some = self._some_jumped(now, segment, share, random)
             noise = normal((len(now), 1, NOISE), generator=random, dtype=torch.float64)
             if again:
                 noise[:, :, 2:OWN] *= _WIDER

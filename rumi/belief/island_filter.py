@@ -7,6 +7,7 @@ in common show what the draws have decided: what they disagree on is not known (
 Moral and Moulines 2015, without their interaction).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,10 +19,12 @@ from rumi.belief.bootstrap_filter import SHOWN, BootstrapBelief, BootstrapFilter
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories
+from rumi.belief.pose_trajectory_filter import one
 from rumi.belief.prior import PosePrior
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History, Segment
 from rumi.registration.descent import Search
+from rumi.resampling import resample_systematic
 from rumi.seeding import Generators
 from rumi.weights import normalise
 from sdf import se3
@@ -67,10 +70,12 @@ class IslandFilter(BootstrapFilter):
         self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
     ) -> tuple[IslandBelief, Observation, FilterInfo]:
         """One whole filter step of each; the points for planners ride with the first. Arguments as of `PoseFilter`."""
-        after, infos = [], list[FilterInfo]()
+        after, infos, before = [], list[FilterInfo](), list(islands_of(belief))
+        if self.own.exchanged > 0 and bool(reading.in_contact.any()):
+            before = self._exchanged(before, one(generator))
         none = memory[torch.zeros(0, dtype=torch.long)]
         kept = none
-        for number, island in enumerate(islands_of(belief)):
+        for number, island in enumerate(before):
             found, points, info = super().forward(island, none if number else memory, reading, generator=generator)
             kept = kept if number else points
             after.append(found)
@@ -78,6 +83,28 @@ class IslandFilter(BootstrapFilter):
         moved = torch.stack([info.moved for info in infos]).any(0)
         resampled = torch.stack([info.resampled for info in infos]).any(0)
         return mixture(after), kept, FilterInfo(moved, resampled, infos[0].added)
+
+    def _exchanged(self, islands: Sequence[BootstrapBelief], random: torch.Generator) -> list[BootstrapBelief]:
+        """The populations with a share of each drawn from the others, where particles may take part in a touch."""
+        parts = [self.particles_of(island) for island in islands]
+        found = []
+        for place, (island, (now, log_weights)) in enumerate(zip(islands, parts, strict=True)):
+            others = [part for at, part in enumerate(parts) if at != place and not part[0].apart]
+            each = int(self.own.exchanged * len(now) / max(1, len(others)))
+            if now.apart or not others or not each:
+                found.append(island)
+                continue
+            rows = torch.randperm(len(now), generator=random)[: each * len(others)]
+            guests = [other.at(resample_systematic(own, each, generator=random)) for other, own in others]
+            poses, physics, heavy = now.poses.clone(), now.physics.clone(), log_weights.clone()
+            poses[rows, -1] = torch.cat([guest.pose for guest in guests])
+            physics[rows] = torch.cat([guest.physics for guest in guests])
+            heavy[rows] = -math.log(len(now))
+            mixed = replace(now, poses=poses, physics=physics)
+            belief = self.belief_of(mixed, normalise(heavy), island.world_T_attached, island.log_weights)
+            assert isinstance(belief, BootstrapBelief)
+            found.append(belief)
+        return found
 
     def begun_again(self, belief: PoseBelief, reading: Reading, *, generator: Generators) -> IslandBelief:
         """The belief after a jump in the last action; see `BootstrapFilter.begun_again`."""

@@ -119,7 +119,7 @@ def pushed(
         own: of the sensors.
     """
     stride = _STRIDE if len(model.pads) > 4 * _STRIDE else 1
-    some = model.pads[::stride]
+    some, fresh = model.pads[::stride], _fresh(path, own)[instants]
     places = _from_origin(se3.apply(reading.tool_pose[instants].double(), some), model)
     bits = felt[instants][:, ::stride]
     tells = bits | (_distance(model, tracks.movedim(1, 0), places).amin(1) < _NEAR_M)
@@ -131,10 +131,10 @@ def pushed(
         pad = (model.pads[:, 1] > 0).long()  # one lies on either side of the tool's middle
         silent = torch.stack([~felt[instants][:, pad == side].any(-1) for side in (0, 1)], -1)
         kind = torch.where(silent[at, pad[::stride][which]], int(Kind.PAD_SILENT), kind)
-    pads = places[at, which], at, kind, torch.full((len(at),), own.pad_weight * stride * counts, dtype=torch.float64)
+    pads = places[at, which], at, kind, own.pad_weight * stride * counts * fresh[at]
     at, which = felt[instants].nonzero(as_tuple=True)
     kept, counts = _thinned(len(at), own.most[2])
-    each = own.felt_weight * counts / felt[instants].sum(-1).clamp_min(1).double()
+    each = fresh * own.felt_weight * counts / felt[instants].sum(-1).clamp_min(1).double()
     at, which = at[kept], which[kept]
     there = se3.apply(reading.tool_pose[instants[at]].double(), model.pads[which][:, None])[:, 0]
     touched = _from_origin(there, model), at, torch.full((len(at),), int(Kind.FELT)), each[at]
@@ -142,6 +142,18 @@ def pushed(
     order = (2 * instant + (kinds == Kind.PAD_SILENT)).argsort(stable=True)  # what is silent comes last
     force = _mean_force(reading, instants, path, own)
     return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order], force)
+
+
+def _fresh(path: Float[Tensor, "K 2 T"], own: PoseTrajectorySettings) -> Float[Tensor, "K"]:
+    """Share by which each instant's pads tell something new: that of a way of the tool after which they tell all.
+
+    The way to the first instant is not reported, and taken to be that to the second.
+    """
+    if not own.fresh_m or len(path) < 2:
+        return torch.ones(len(path), dtype=torch.float64)
+    step = path[:, 1] - path[:, 0]
+    way = step[:, [0, 1, *range(3, step.shape[1])]].norm(dim=-1) + own.m_per_rad * step[:, 2].abs()
+    return (torch.cat((way[1:2], way[1:])) / own.fresh_m).clamp_max(1.0)
 
 
 def _mean_force(

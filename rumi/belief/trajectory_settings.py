@@ -34,6 +34,8 @@ class PoseTrajectorySettings:
             searched all round; 0 for no more than there are.
         unseen_particles: N of the bootstrap filter, where only a prior tells of the object at first.
         islands: populations that share these particles and never mix.
+        exchanged: share of each population that comes from the others before an action with contact, which then has to
+            explain it as well as those it came to.
         branches: motions drawn for each particle when a segment comes in.
         instants: of contact that make a segment.
         lag: pushed segments, from the last on, whose noise is still moved by itself.
@@ -76,6 +78,9 @@ class PoseTrajectorySettings:
             an instant are worth.
         pad_m, pad_slope_m, pad_weight, pad_spacing_m: distance within which a pad's point feels the surface, width of
             that border, what a point is worth, and the points' spacing.
+        fresh_m: way of the tool in an instant from which on its pads' readings count in full, as shares of it below:
+            what is felt while something holds the tool up was felt before. 0 counts all in full; None is 3 mm in
+            space, else 0.
         force_rad: deviation of the direction of a tool's force from the motion that it makes, where it is measured.
         force_n: deviation of a segment's mean force, N, each way.
         force_per_m: independent readings of its direction that a metre of the tool's way in contact is worth; 0 leaves
@@ -93,6 +98,7 @@ class PoseTrajectorySettings:
     first_particles: int = 0
     unseen_particles: int = 12000
     islands: int = 3
+    exchanged: float = 0.05
     branches: int = 6
     instants: int = 5
     lag: int = 10
@@ -132,6 +138,7 @@ class PoseTrajectorySettings:
     pad_slope_m: float = 0.0003
     pad_weight: float = 0.03
     pad_spacing_m: float = 0.0025
+    fresh_m: float | None = None
     force_rad: float = 0.15
     force_n: float = 0.2
     force_per_m: float = 20.0
@@ -195,6 +202,8 @@ class PoseTrajectorySettings:
         """Refuse what has no meaning."""
         for part in fields(self):
             value = getattr(self, part.name)
+            if value is None:
+                continue
             for number in value if isinstance(value, tuple) else (value,):
                 if not 0 <= number < math.inf:
                     raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")

@@ -40,12 +40,14 @@ class DisplacementSettings(Checked):
             draws anew, as the paper does.
         discs: discs of the bound that settles most contact checks; 0 checks every point at every mini step. The
             rollouts are the same.
+        guarded: whether an action ends with the mini step in which it touches the object, as guarded moves do.
     """
 
     mini_steps: Count = 4
     push_angle: Annotated[float, Interval(gt=0.0, le=math.pi)] = math.radians(45.0)
     hazard: Hazard = "per_rollout"
     discs: CountOr0 = 8
+    guarded: bool = False
 
 
 @dataclass
@@ -60,7 +62,7 @@ class Touched:
     way: Float[Tensor, "R Q"]  # free motion of a mini step
     offset: Float[Tensor, "R 3"]
     strayed: Bool[Tensor, "R"]  # was held up, hence off the free path
-    stuck: Bool[Tensor, "R"]  # held up, and would be again at every mini step left of this step
+    stuck: Bool[Tensor, "R"]  # held up, and would be again at every mini step left of this step, or at its end
 
     @classmethod
     def at_first_contact(
@@ -322,6 +324,8 @@ class DisplacementRollouts:
             touched.strayed[rows[blocked]] = True
             # nothing that decides on the next mini step has changed
             touched.stuck[rows[blocked]] = self.settings.hazard != "per_mini_step"
+            if self.settings.guarded:
+                touched.strayed[rows[at]] = touched.stuck[rows[at]] = True
         return len(possible)
 
     def _motion(

@@ -232,6 +232,9 @@ class StopSettings(Checked, refusal=UsageError):
         contacts: actions that must have touched the object.
         apc_ratio: beta_t.
         probability: that the best pose is within the task's tolerance, as the belief has it.
+        most_nll: expected nll beyond which "probability" does not stop: poses that are all within the tolerance may lie
+            too far apart for the object to count as found. None for what counts as found where the object is followed
+            in space, else any.
         least_chance: p-value of the readings at the best particle below which no pose explains them, and no rule but
             "apc" stops; 0 asks for none.
     """
@@ -243,6 +246,7 @@ class StopSettings(Checked, refusal=UsageError):
     contacts: int = 1
     apc_ratio: float = 0.03
     probability: ShareAbove0 = 0.95
+    most_nll: float | None = None
     least_chance: Share = 0.01
 
 
@@ -251,13 +255,13 @@ class Shortfall(NamedTuple):
 
     Attributes:
         part: "fit" and "chance", no pose explains the observations, by its discrepancy and by the p-value of the
-            readings; "contacts", too few actions touched the object; "spread", poses
-            that explain them differ too much; "rule", a rule without parts.
+            readings; "contacts", too few actions touched the object; "spread", poses that explain them differ too
+            much; "nll", all are right, and differ too much; "rule", a rule without parts.
         value: of the belief.
         allowed: bound of it.
     """
 
-    part: Literal["fit", "chance", "contacts", "spread", "rule"]
+    part: Literal["fit", "chance", "contacts", "spread", "nll", "rule"]
     value: float
     allowed: float
 
@@ -280,6 +284,8 @@ def shortfalls(settings: StopSettings, now: StopEvidence) -> tuple[Shortfall, ..
     if settings.rule == "probability":
         if now.contacts < settings.contacts:
             return (Shortfall("contacts", now.contacts, settings.contacts),)
+        if now.p_right >= settings.probability:
+            return (Shortfall("nll", now.expected_nll, math.inf if settings.most_nll is None else settings.most_nll),)
         return (Shortfall("spread", now.p_right, settings.probability),)
     if settings.rule == "apc":
         return (Shortfall("spread", now.apc, settings.apc_ratio * now.diagonal),)
@@ -297,6 +303,7 @@ STOP_RULES.add(
     "probability",
     lambda settings, now: (
         now.p_right >= settings.probability
+        and (settings.most_nll is None or now.expected_nll <= settings.most_nll)
         and now.contacts >= settings.contacts
         and now.chance >= settings.least_chance
     ),

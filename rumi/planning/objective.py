@@ -49,6 +49,7 @@ class TrajectoryCost:
         points_t: sensing points; x and y in the tool's frame, z in the world, or with `spatial` in its frame too.
         information_scale: beta_I.
         reachability_scale: beta_R.
+        push_scale: weight of the way that the object is pushed, for each metre.
         information_discount: factor by which information is worth less with each action until it is gathered.
         normalise: count information as a share of all there is.
         displaced_information: take the information to ride with the object (RUMI, Eq 29); False leaves the predicted
@@ -64,12 +65,14 @@ class TrajectoryCost:
         *,
         information_scale: float = 1.0,
         reachability_scale: float = 1.0,
+        push_scale: float = 0.0,
         information_discount: float = 1.0,
         normalise: bool = True,
         displaced_information: bool = True,
         spatial: bool = False,
     ) -> None:
         self.information_scale, self.reachability_scale = information_scale, reachability_scale
+        self.push_scale, self.discount = push_scale, information_discount
         self.displaced_information, self.values = displaced_information, information.values
         self.information: InformationCost | None = None
         if information_scale > 0:
@@ -89,7 +92,7 @@ class TrajectoryCost:
         """Cost of each control sequence: the mean over its rollouts."""
         version = backend.dispatch("trajectory_cost", self.values, rollouts.configurations, rollouts.displacements)
         costs: Tensor = version(self, rollouts)
-        return costs
+        return costs + self.push_scale * pushed_way(rollouts, self.discount) if self.push_scale > 0 else costs
 
     def of_paths(self, paths: Paths) -> Float[Tensor, "R"]:
         """Cost of single paths."""
@@ -118,6 +121,17 @@ def _trajectory_cost_warp(cost: TrajectoryCost, rollouts: PushRollouts) -> Float
     from rumi.planning.trajectory_cost_warp import trajectory_cost
 
     return trajectory_cost(cost, rollouts)
+
+
+def pushed_way(rollouts: PushRollouts, discount: float = 1.0) -> Float[Tensor, "*b K"]:
+    """How far each control sequence pushes the object in the mean over its rollouts, there and back, metres.
+
+    Args:
+        rollouts: of K sequences.
+        discount: factor by which an action's way counts less with each action before it.
+    """
+    ways = torch.diff(rollouts.displacements, dim=-2).norm(dim=-1).mean(-2)
+    return ways @ (discount ** torch.arange(ways.shape[-1], device=ways.device)).to(ways)
 
 
 def mean_over_rollouts(
@@ -157,6 +171,13 @@ def cost_of_scenes(
     if len(costs) != len(rollouts.configurations):
         raise ValueError(f"Expected a cost for each of {len(rollouts.configurations)} scenes, got {len(costs)}")
     return torch.stack([cost(index(rollouts, scene)) for scene, cost in enumerate(costs)])
+
+
+def without(field: VoxelGrid, points: Float[Tensor, "M 3"]) -> VoxelGrid:
+    """A field with zero in the cells of points."""
+    index, inside = field.nearest_index(points)
+    x, y, z = index[inside].unbind(-1)
+    return field.with_values(field.values.index_put((x, y, z), field.values.new_zeros(())))
 
 
 def sensing_points(tool: Tool, like: Tensor) -> Float[Tensor, "M 3"]:

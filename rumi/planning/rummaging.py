@@ -20,7 +20,14 @@ from rumi.fields.information import (
     WorkspaceFields,
     information_field,
 )
-from rumi.planning.objective import Objective, TrajectoryCost, gathered_by_action, gathering, sensing_points
+from rumi.planning.objective import (
+    Objective,
+    TrajectoryCost,
+    gathered_by_action,
+    gathering,
+    sensing_points,
+    without,
+)
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, PlanRequest, SampledPaths, Scene
 from rumi.planning.rummaging_settings import RummagingSettings
@@ -326,12 +333,15 @@ class RummagingPolicy:
             reachability = workspace.grid(self.reachability.to(fields.information))
         sensing = sensing_points(scene.tool, fields.information)
         information = workspace.grid(fields.information)
+        if settings.sensed_here:
+            information = without(information, scene.tool.info_points(scene.configuration.to(fields.information)))
         cost = TrajectoryCost(
             information,
             reachability,
             sensing,
             information_scale=settings.information_scale,
             reachability_scale=scale,
+            push_scale=settings.push_scale or 0.0,
             information_discount=settings.information_discount,
             normalise=settings.normalise_information,
             displaced_information=settings.displaced_information,

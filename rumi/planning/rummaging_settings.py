@@ -28,6 +28,11 @@ class RummagingSettings(PushSettings):
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
         reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out. None for what suits the push
             model, its `defaults`.
+        push_scale: weight of the way that the object is pushed, against all the information, for each metre: what a
+            push costs in certainty where nothing measures it. An action's is worth less the later it is, as information
+            is. None for 1 where actions in space are guarded, else 0.
+        sensed_here: leave out the information where the tool senses now, which it has: held up by the object, it would
+            gather it again and again. None for where actions in space are guarded.
         least_share: of the information, what a plan has to gather: else reach is what keeps it from the object, and
             it is made anew with a quarter of the weight on reach, up to three times. 0 takes any plan. None for what
             suits the push model, its `defaults`. Plans with a budget are made once.
@@ -47,6 +52,8 @@ class RummagingSettings(PushSettings):
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: NotNegative = 1.0
     reachability_scale: NotNegative | None = None
+    push_scale: NotNegative | None = None
+    sensed_here: bool | None = None
     least_share: Share | None = None
     information_discount: ShareAbove0 = 0.9
     normalise_information: bool = True

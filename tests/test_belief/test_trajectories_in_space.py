@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from rumi.belief.bootstrap_filter import narrow
-from rumi.belief.segments import felt_pads
+from rumi.belief.segments import felt_pads, path_of, pushed
 from rumi.belief.trajectory_history import Segment
+from rumi.belief.trajectory_starts import from_prior
 from rumi.seeding import generator
 from sdf import se3
 from sensors.observation import Observation
@@ -22,7 +23,7 @@ def test_a_touch_finds_a_box_of_which_only_a_prior_was_known(box, prior):
     belief, memory = begin(followed, prior)
     wide = belief.world_T_object[:, 0, 3].std()
     belief, memory, info = followed(belief, memory, felt_by(box, truth, towards(-0.10)), generator=generator(1))
-    assert not bool(info.moved)
+    assert belief.every.apart
     # the pads' tips are 35 mm ahead, the box's face is at -20 mm
     reading = felt_by(box, truth, towards(-0.055))
     assert bool(reading.in_contact.any())
@@ -55,6 +56,52 @@ def test_a_recorded_force_tells_nothing_in_space(box, prior):
     alone, with_force = (followed(belief, memory, own, generator=generator(2))[0] for own in (reading, felt))
     assert float(with_force.trajectories.history.force[:, 2].sum()) > 0
     assert torch.equal(alone.world_T_object, with_force.world_T_object)
+
+
+def sideways(last_y: float, x: float = 0.08, height: float = 0.03, count: int = 20) -> torch.Tensor:
+    """A way of the tool to its left, with what is behind the pads beside the box."""
+    y = torch.linspace(last_y - 0.08, last_y, count)
+    return torch.stack((0 * y + x, y, 0 * y, 0 * y + height), -1)
+
+
+def test_what_the_palm_pushes_unfelt_goes_along_before_a_first_touch(box, prior):
+    followed = follow(box, prior)
+    belief, memory = begin(followed, prior)
+    reading = felt_by(box, prior.ways[0] @ se3.from_planar(torch.tensor([0.0, 9.0, 0.0])), sideways(0.0))
+    assert not bool(reading.in_contact.any())
+    after, _, info = followed(belief, memory, reading, generator=generator(1))
+    assert bool(info.moved) and after.every.apart
+    # none is where the palm is, and none is lost for having been there
+    there = followed.model.tool + torch.tensor([0.08, 0.0, 0.03])
+    inside = [
+        (box.sdf.distance(followed.model.local(now.every.pose, there).float()).amin(-1) < -0.004).double().mean()
+        for now in (belief, after)
+    ]
+    assert float(inside[0]) > 0.9 and float(inside[1]) < 0.1
+    assert float(after.every.pose[:, 1].mean()) > float(belief.every.pose[:, 1].mean()) + 0.02
+    assert len(after.every) == len(belief.every)
+    # what is far from all of it moves nothing
+    far = felt_by(box, prior.ways[0], sideways(0.0) + torch.tensor([0.4, 0.0, 0.0, 0.0]))
+    same, _, info = followed(belief, memory, far, generator=generator(1))
+    assert not bool(info.moved) and torch.equal(same.every.pose, belief.every.pose)
+
+
+def test_what_is_felt_while_the_tool_stands_still_counts_by_its_way(box, prior):
+    truth = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[1]
+    way = towards(-0.055)
+    still = torch.cat((way, way[-1:].repeat(6, 1)))
+    weights = []
+    for fresh_m in (0.0, 0.003):
+        followed = follow(box, prior, fresh_m=fresh_m)
+        reading = felt_by(box, truth, still)
+        path, felt = path_of(reading, followed.model), felt_pads(reading, followed.model, followed.own)
+        instants = torch.arange(6, 14)
+        tracks = from_prior(prior, 5, generator(0))[:, None].expand(-1, len(instants), -1)
+        segment = pushed(reading, instants, path, felt, tracks, followed.model, followed.own)
+        weights.append(torch.zeros(8, dtype=torch.float64).index_add_(0, segment.instant, segment.weight.double()))
+    # steps of 30 / 7 mm count in full, standing still counts nothing
+    torch.testing.assert_close(weights[1][:2], weights[0][:2])
+    assert float(weights[0][2:].min()) > 0 and float(weights[1][2:].max()) == 0
 
 
 @pytest.mark.parametrize("particles", [1, 30])

@@ -98,25 +98,27 @@ def reference(
                     i = int((meets > meets.max() - 1e-5).nonzero()[0, 0])
                     motion = points[i] - tool.points(q)[i]
                     normal = field.normal.interpolate((points - d)[i])
-                    if float(normal.norm()) < 1e-6 or float(motion.norm()) < 1e-6:
-                        continue
-                    cosine = -float(normal @ motion / (normal.norm() * motion.norm()))
-                    sideways = not tool.spatial or float(normal[:2].norm()) >= abs(float(normal[2]))
-                    if math.acos(max(-1.0, min(1.0, cosine))) < settings.push_angle and sideways:
-                        q, d = ahead, d + motion * motion.new_tensor([1.0, 1.0, 0.0])
+                    if float(normal.norm()) >= 1e-6 and float(motion.norm()) >= 1e-6:
+                        cosine = -float(normal @ motion / (normal.norm() * motion.norm()))
+                        sideways = not tool.spatial or float(normal[:2].norm()) >= abs(float(normal[2]))
+                        if math.acos(max(-1.0, min(1.0, cosine))) < settings.push_angle and sideways:
+                            q, d = ahead, d + motion * motion.new_tensor([1.0, 1.0, 0.0])
+                    if settings.guarded:
+                        break
                 states[k, m, h + 1], moved[k, m, h + 1] = q, d
     return states, moved, contact
 
 
+@pytest.mark.parametrize("guarded", [False, True])
 @pytest.mark.parametrize("hazard", get_args(Hazard))
 @pytest.mark.parametrize(
     ("spatial", "discs", "reaching"),
     [*((False, discs, reaching) for discs in (0, 5) for reaching in (False, True)), (True, 0, False), (True, 5, True)],
 )
 def test_is_the_algorithm(
-    hazard: Hazard, spatial: bool, discs: int, reaching: bool, generator: torch.Generator
+    hazard: Hazard, guarded: bool, spatial: bool, discs: int, reaching: bool, generator: torch.Generator
 ) -> None:
-    settings = DisplacementSettings(mini_steps=3, hazard=hazard, discs=discs)
+    settings = DisplacementSettings(mini_steps=3, hazard=hazard, discs=discs, guarded=guarded)
     field = spread_field(F64, generator, spatial)
     tool = make_tool(F64, reaching=reaching, spacing=0.03 if spatial else 0.02, spatial=spatial)
     start, count = begin(F64, spatial, 0.02), 6 if spatial else 12

@@ -10,7 +10,7 @@ from torch import Tensor
 from rumi.dynamics.base import Paths, PushRollouts
 from rumi.fields.workspace import Workspace
 from rumi.planning.costs import InformationCost, information_cost
-from rumi.planning.objective import TrajectoryCost, gathered_by_action
+from rumi.planning.objective import TrajectoryCost, gathered_by_action, pushed_way, without
 from rumi.planning.reach_cost import CrossCorrelation, ReachabilityCost, turned_information
 from sdf import backend, se3
 from sdf.voxel_grid import VoxelGrid
@@ -245,6 +245,29 @@ def test_trajectory_cost_is_the_mean_of_every_rollouts_own(
     gathered = torch.stack([information_cost(information, points, q[k], d[k]) for k in range(len(q))])
     reached = ReachabilityCost(information, reachability)(d)
     torch.testing.assert_close(cost, (beta_i * gathered + beta_r * reached).mean(-1))
+
+
+def test_what_a_push_costs_is_its_way_there_and_back(generator: torch.Generator) -> None:
+    moved = torch.zeros(2, 2, 4, 3)
+    moved[0, 0, 1:, 0] = torch.tensor([0.03, 0.03, 0.01])  # there, nothing, and back
+    moved[0, 1, 3] = torch.tensor([0.0, 0.06, 0.08])
+    still = torch.zeros(2, 2, 4, 4)
+    rollouts = PushRollouts(still, moved, torch.zeros(2, 2, 3, dtype=torch.bool), 1.0, torch.arange(2).expand(2, 2))
+    torch.testing.assert_close(pushed_way(rollouts), torch.tensor([0.5 * (0.05 + 0.10), 0.0]))
+    expected = torch.tensor([0.5 * (0.03 + 0.25 * 0.02 + 0.25 * 0.10), 0.0])
+    torch.testing.assert_close(pushed_way(rollouts, 0.5), expected)
+    grid = VoxelGrid(torch.rand(4, 4, 4, generator=generator), torch.zeros(3), 0.02)
+    points, weight = 0.01 * torch.rand(5, 3, generator=generator), {"information_discount": 0.5, "spatial": True}
+    free, dear = (TrajectoryCost(grid, grid, points, push_scale=scale, **weight)(rollouts) for scale in (0.0, 3.0))
+    torch.testing.assert_close(dear - free, 3.0 * expected)
+
+
+def test_cells_of_points_are_left_out_of_a_field(generator: torch.Generator) -> None:
+    grid = VoxelGrid(1.0 + torch.rand(3, 4, 5, generator=generator), torch.zeros(3), 0.02)
+    left = without(grid, torch.tensor([[0.021, 0.0, 0.079], [0.019, 0.001, 0.081], [9.0, 0.0, 0.0]]))
+    assert (left.values == 0).nonzero().tolist() == [[1, 0, 4]]
+    kept = left.values > 0
+    assert torch.equal(left.values[kept], grid.values[kept]) and float(grid.values.min()) >= 1.0
 
 
 def test_information_that_does_not_follow_the_object(generator: torch.Generator) -> None:

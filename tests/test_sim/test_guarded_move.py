@@ -15,7 +15,7 @@ from rumi.sim.robot_arm import RobotArm
 from rumi.sim.settings import SimSettings
 from rumi.sim.world import Guard, World
 from rumi.tasks.rummage.build import make_task
-from rumi.tasks.rummage.scenes import SCENES
+from rumi.tasks.rummage.scenes import SCENES, make_tool
 from sdf import se3
 from sdf.primitives import Box
 
@@ -84,6 +84,21 @@ def test_a_hand_that_feels_nothing_is_not_stopped_and_one_that_is_stuck_hardly_m
 def test_pads_that_miss_everything_do_not_stop_it(arm_tool, mug):
     blind = run(arm_tool, mug, 4, guarded="always", guard_m=0.0, pads=PadErrors(missed=0.999))[2]
     assert all(len(found.reading.tool_pose) == 20 and not found.reading.in_contact.any() for found in blind)
+
+
+def test_a_tool_in_space_that_is_held_up_ends_by_the_way_it_was_to_go():
+    """On top of a box it goes nowhere: 10 mm farther down it gives up, and not with the whole of the action."""
+    spec = replace(SCENES["box-0"], tool_start=(0.49, 0.03, 0.12, 0.0))
+    lengths = []
+    for guarded in ("never", "always"):
+        settings = SimSettings(guarded=guarded, guard_m=0.01)
+        task = make_task(spec, settings, tool=make_tool(spec, settings, free_flying=True))
+        task.reset(0)
+        down = [task.step(torch.tensor([0.0, 0.0, -1.0, 0.0])).reading for _ in range(2)]
+        lengths.append(len(down[1].in_contact))
+        assert bool(down[1].in_contact[-1])
+        assert float(down[1].tool_pose[-1, 2, 3] - down[1].tool_pose[0, 2, 3]) > -0.02
+    assert lengths[0] == 20 and lengths[1] <= 5
 
 
 def test_contact_that_ends_begins_the_way_anew():

@@ -148,7 +148,7 @@ def why_not(
         return f"{first.value:.0f} actions touched the object, {first.allowed:.0f} are asked for; {ended}"
     if first.part == "rule":
         return f"the stop rule {rummager.stop_rule.rule!r} does not hold; {ended}"
-    if rummager.stop_rule.rule == "probability":
+    if rummager.stop_rule.rule == "probability" and first.part != "nll":
         return f"believed right with probability {first.value:.2f}, {first.allowed:.2f} is asked for; {ended}"
     if sum(mode.weight >= _TOLD for mode in pose.modes) > 1:
         return f"{_rivals(rummager, record, pose)}; {ended}"

@@ -37,6 +37,7 @@ from rumi.tasks.rummage.motions import (
     followed,
     guarded,
     is_planar,
+    planned,
     predicts_motion,
     prior_of,
     push_posterior_of,
@@ -144,7 +145,8 @@ def build_rummager(
             spec, following, settings.simulator, discrepancy, tool, model, standing
         )
         if stop.rule == AUTO and isinstance(pose_filter, IslandFilter):
-            stop = replace(stop, rule="probability")
+            most_nll = spec.nll_threshold if stop.most_nll is None else stop.most_nll
+            stop = replace(stop, rule="probability", most_nll=most_nll)
         renewal = ReinitialiseSettings.never()  # its particles come from the prior, and are moved under all evidence
     else:
         pushed = None
@@ -158,7 +160,7 @@ def build_rummager(
     return Rummager(
         model,
         pose_filter.to(*to),
-        make_policy(settings, reachability(tool, workspace)),
+        make_policy(replace(settings, planner=planned(spec, settings)), reachability(tool, workspace)),
         workspace,
         tool,
         initialise=settings.initialise,

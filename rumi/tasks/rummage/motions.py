@@ -18,6 +18,7 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
+from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.registration.descent import Search
 from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
@@ -35,6 +36,9 @@ _FROM_TARGET_M = 0.17  # of the point that a camera is calibrated by: how far th
 _WIDER, _LEAST_M = 1.5, 0.0015
 _FIRST = 3000  # particles of a first touch
 _NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points draw a thin wall so far to the camera
+# push model of plans of guarded moves in space, and what they weigh pushes and reach by
+_CARRIED, _PUSH_SCALE, _REACH_SCALE = "displacement", 1.0, 0.5
+_FRESH_M = 0.003  # way of the tool in space after which its pads tell something new
 _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 
 
@@ -61,8 +65,26 @@ def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
     simulator = settings.simulator
     if simulator.guarded != "auto":
         return simulator
-    unmeasured = is_planar(spec) and followed(spec, settings).motion == "trajectory"
+    unmeasured = followed(spec, settings).motion == "trajectory"
     return replace(simulator, guarded="always" if unmeasured else "never")
+
+
+def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
+    """The planner's settings with what suits guarded moves in space, where nothing else is asked for.
+
+    Plans count on actions that end where they touch, a push costs certainty, and reach is worth less: no action takes
+    the object far.
+    """
+    planner = settings.planner
+    if is_planar(spec) or guarded(spec, settings).guarded != "always" or planner.push_model not in (AUTO, _CARRIED):
+        return planner
+    return replace(
+        planner,
+        push=replace(planner.push, guarded=True),
+        push_scale=_PUSH_SCALE if planner.push_scale is None else planner.push_scale,
+        sensed_here=planner.sensed_here is not False,
+        reachability_scale=_REACH_SCALE if planner.reachability_scale is None else planner.reachability_scale,
+    )
 
 
 def untracked(asked: Motion | None, *, planar: bool, seen: bool, looks_again: bool, trajectories: bool) -> Motion:
@@ -176,6 +198,8 @@ def trajectory_filter(
             pad_spacing_m=spacing,
         )
         return PoseTrajectoryFilter(settings, discrepancy, pushed)
+    fresh_m = _FRESH_M if own.fresh_m is None else own.fresh_m
+    settings = replace(settings, trajectories=replace(own, fresh_m=fresh_m))
     prior = prior_of(spec, model)
     if prior is None:
         raise UsageError(f"Expected a prior for --filter.motion trajectory in space, got none for {spec.name}")

@@ -1,5 +1,6 @@
 """The rummager of a robot of one's own, live or recorded: nothing is simulated."""
 
+import math
 from dataclasses import replace
 
 from rumi.belief.motion import Motion
@@ -106,7 +107,10 @@ def rummager(
     )
     if plans:
         _check_plans(settings, made, low)
-    found = build_rummager(spec, settings, model, made, workspace)
+    # which expected nll counts as found is known of the tasks' objects alone
+    any_nll = math.inf if settings.stop.most_nll is None else settings.stop.most_nll
+    asked = replace(settings, stop=replace(settings.stop, most_nll=any_nll))
+    found = build_rummager(spec, asked, model, made, workspace)
     return replace(found, steps=settings.steps, about={**to_dict(settings), "task": OWN})
 
 

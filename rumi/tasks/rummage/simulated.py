@@ -202,7 +202,7 @@ class SimTask:
         self._pad_draws = self._pad_faults.drawn(len(path))
         guard = None
         if self.settings.guarded == "always":
-            guard = Guard(GuardedMove(self.settings.guard_m, self._feels), late_s)
+            guard = Guard(GuardedMove(self.settings.guard_m, lambda index: self._feels(index, path)), late_s)
         track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s, guard)
         reading = self._sense(before, track, refused + track.refused_m)
         for fault in self.faults:
@@ -406,12 +406,15 @@ class SimTask:
     def _touched(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K n"]:
         return touching(self._true, object_T_tool, self._pads, self.settings.contact_m)
 
-    def _feels(self, index: int) -> tuple[Float[Tensor, "Q"], bool]:
-        """Where the tool is at the end of a mini step, and whether its pads report that they feel anything."""
+    def _feels(self, index: int, path: Float[Tensor, "K Q"]) -> tuple[Float[Tensor, "Q"], bool]:
+        """Where the tool is at the end of a mini step, and whether its pads report that they feel anything.
+
+        In space that is where it was to go: held up from below it goes nowhere, and presses all the harder.
+        """
         now = self.world.now()
         object_T_tool = (se3.inverse(now.world_T_object) @ self._true_pose(now).double()).float()
         felt = bool(self._pad_faults.felt(self._touched(object_T_tool), self._pad_draws.at(index)).any())
         for fault in self.faults:
             if fault.step <= (self._steps or 0):
                 felt = fault.touched(felt, self._hand())
-        return now.configuration[0], felt
+        return path[index] if self.spec.spatial else now.configuration[0], felt

@@ -1,5 +1,6 @@
 """Widths and systematic errors of trajectories, by what robot and object are stated to be off by."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import torch
 
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.errors import UsageError
+from rumi.runs.json_settings import changed
 from rumi.sim.error_settings import PadErrors
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.build import build
@@ -73,14 +75,34 @@ def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
 
 
 @pytest.mark.usefixtures("at_home")
-def test_actions_are_guarded_where_nothing_measures_how_an_upright_object_is_pushed(cache):
-    for task, conditions, expected in (("mug", "lab", "always"), ("mug", "ideal", "never"), ("box", "lab", "never")):
+def test_actions_are_guarded_where_nothing_measures_how_the_object_is_pushed(cache):
+    guards = {"lab": "always", "ideal": "never"}
+    for task, conditions in itertools.product(("mug", "box"), guards):
         settings = preset(task=task, conditions=conditions)
-        with build(settings, cache_dir=cache) as (world, _):
-            assert world.settings.guarded == expected
+        with build(settings, cache_dir=cache) as (world, agent):
+            assert world.settings.guarded == guards[conditions]
+            # plans know of it in space
+            known = task == "box" and conditions == "lab"
+            planner = agent.policy.settings
+            assert planner.push.guarded == known and bool(planner.sensed_here) == known
+            assert (planner.push_scale, planner.reachability_scale) == ((1.0, 0.5) if known else (None, None))
+            assert agent.stop_rule.most_nll == (agent.nll_threshold if known else None)
+            assert agent.filter.settings.trajectories.fresh_m == (0.003 if known else None)
     asked = replace(settings, simulator=replace(settings.simulator, guarded="always"))
     with build(asked, cache_dir=cache) as (world, _):
         assert world.settings.guarded == "always"
+
+
+@pytest.mark.usefixtures("at_home")
+def test_what_is_asked_of_plans_is_kept_where_actions_are_guarded(cache):
+    settings = preset(task="drill", **{"planner.push_scale": 0.0, "planner.reachability_scale": 2.0})
+    settings = changed(settings, {"planner.sensed_here": False, "filter.trajectories.fresh_m": 0.0})
+    with build(settings, cache_dir=cache) as (_, agent):
+        planner = agent.policy.settings
+        assert (planner.push_scale, planner.reachability_scale, planner.sensed_here) == (0.0, 2.0, False)
+        assert planner.push.guarded and agent.filter.settings.trajectories.fresh_m == 0.0
+    with build(changed(settings, {"simulator.guarded": "never"}), cache_dir=cache) as (_, agent):
+        assert not agent.policy.settings.push.guarded
 
 
 def test_guarded_moves_need_pads_that_feel_points(cache):
@@ -92,8 +114,9 @@ def test_guarded_moves_need_pads_that_feel_points(cache):
 
 def test_runs_on_record_keep_what_their_errors_counted_as():
     made = to_dict(preset(task="mug"))
-    del made["filter"]["stated_errors"]
-    assert from_dict(made | {"made_with": {}}).filter.stated_errors == "noise"
+    del made["filter"]["stated_errors"], made["filter"]["trajectories"]["exchanged"]
+    before = from_dict(made | {"made_with": {}}).filter
+    assert before.stated_errors == "noise" and before.trajectories.exchanged == 0.0
     assert from_dict(made).filter.stated_errors == "auto"
 
 

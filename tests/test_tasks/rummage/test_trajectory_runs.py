@@ -72,5 +72,11 @@ def test_a_run_stops_where_it_is_probably_right_and_has_touched():
     for p, contacts, sure in ((0.96, 1, True), (0.94, 1, False), (0.99, 0, False), (float("nan"), 3, False)):
         evidence = StopEvidence(**state, contacts=contacts, p_right=p)
         assert converged(rule, evidence) is sure is not bool(shortfalls(rule, evidence))
+    # poses that are all right may still lie too far apart
+    evidence = StopEvidence(**state, contacts=1, p_right=0.96)
+    for most, sure in ((9.0, True), (8.9, False)):
+        asked = StopSettings(rule="probability", most_nll=most)
+        assert converged(asked, evidence) is sure
+        assert [short.part for short in shortfalls(asked, evidence)] == ([] if sure else ["nll"])
     with pytest.raises(UsageError, match="probability"):
         StopSettings(probability=0.0)
