@@ -17,7 +17,7 @@ from tests.fixtures.box_in_space import begin, felt_by, follow, towards
 
 
 def make(kind, box, prior, particles: int, islands: int):
-    return follow(box, prior, kind, unseen_particles=particles, islands=islands)
+    return follow(box, prior, kind, unseen_particles=particles, islands=islands, exchanged=0.0)
 
 
 def touches(box, prior):
