@@ -142,6 +142,10 @@ def watch(
     if follows(pose_filter) and open_yet and not strange:
         rivals, static = _rivals(before, record, history, pose_filter, generator)
     ratios = _all_ratios(before, of_action, static, names)
+    due = bool(test.alarm(test.update(evidence, ratios)))
+    if due and open_yet and not strange and rivals is not None and not rival_filters.is_asked_again(rivals):
+        rivals, static = _asked_again(rivals, record, history, pose_filter, generator)
+        ratios = _all_ratios(before, of_action, static, names)
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
     chances = dict.fromkeys(["no fault", *names], 0.0)
@@ -230,6 +234,24 @@ def _all_ratios(
     if before.following is not None:  # no prior is wider than a wide one
         ratios = ratios.where(torch.tensor([name != "push model off" for name in names]), -torch.inf)
     return ratios
+
+
+def _asked_again(
+    rivals: tuple[Rival, ...],
+    record: StepRecord,
+    history: Sequence[StepRecord],
+    pose_filter: PoseFilter,
+    generator: torch.Generator,
+) -> tuple[tuple[Rival, ...], Mapping[str, float]]:
+    """Rivals with further copies of no fault, where an alarm is due, and what they say then."""
+    first, here = history[0].belief, record.belief
+    assert follows(pose_filter)
+    assert isinstance(first, PoseTrajectoryBelief) and first.trajectories is not None
+    assert isinstance(here, PoseTrajectoryBelief) and here.trajectories is not None
+    readings = _taken_in(history, record)
+    copies = rival_filters.doubted(pose_filter, first.trajectories, readings, generator)
+    rivals, none = (*rivals, *copies), here.trajectories.log_evidence
+    return rivals, rival_filters.log_ratios(rivals, none)
 
 
 def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
