@@ -40,7 +40,7 @@ class Remark:
 
     Attributes:
         name: in one or two words, one of "resists", "toppled", "rolled", "lifted", "dropped", "not there", "elsewhere",
-            "other height", "tips", "two contacts".
+            "other height", "tips", "two contacts", "false touch".
         step: number of the action after which it was noticed first.
         sentence: for people.
     """

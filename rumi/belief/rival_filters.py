@@ -41,7 +41,9 @@ _SIZES = (0.93, 0.965, 1.035, 1.07)  # times the object's own, each as likely
 _PARTICLES, _DRAWS, _STARTS, _SWEEPS = 75, 1500, 150, 2
 _PLACES = 400  # start poses that the prior of what was moved is the density of
 _COPIES = 3  # of each belief but those of a size
+_FURTHER = 4  # copies of no fault where an alarm is due
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of start poses about those of the first view: m, rad
+_NARROWER, _LEAST_KERNEL_M = 0.5, 0.0003  # kernel of start poses by a view: of their deviation, and at least
 _HOPELESS = 8.0  # nats that a rival is less likely than no fault, from which on it is left out
 
 
@@ -57,11 +59,13 @@ class Rival(NamedTuple):
 
     Attributes:
         name: of the fault, or "no fault".
-        log_share: log of its share among the beliefs of that name.
+        log_share: log of its share among the beliefs of that name; 0 of no fault, whose copies become more.
         pose_filter: that follows it.
         now: particles.
         log_weights: of them.
         log_view: log-likelihood ratio of the first view against no fault.
+        seen: start poses by the first view, of one that keeps nothing of it otherwise; None where the view is stated to
+            be off by less than the kernel of their density.
     """
 
     name: str
@@ -70,6 +74,7 @@ class Rival(NamedTuple):
     now: Trajectories
     log_weights: Float[Tensor, "N"]
     log_view: float
+    seen: Float[Tensor, "Q D"] | None = None
 
     @property
     def log_evidence(self) -> float:
@@ -94,16 +99,43 @@ def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: tor
     def again() -> Trajectories:
         return first.at(torch.randint(len(first), (_PARTICLES,), generator=generator))
 
+    # of a view that is as exact as its noise start poses are a narrow, slanted cloud, which a kernel makes far too wide
+    wide_view = pose_filter.own.view_off_m >= KERNEL[0]
     rivals = []
     for _ in range(_COPIES):
-        rivals += [
-            _rival(NO_FAULT, _COPIES + 1, usual, again()),  # the filter's own belief is one more
-            _rival("push model off", _COPIES, wide, again()),
-        ]
+        rivals += [_rival(NO_FAULT, 1, usual, again()), _rival("push model off", _COPIES, wide, again())]
         for name, ring in (("hand off", HAND), ("camera off", CAMERA)):
             moved = _displaced(first, ring, generator)
-            rivals.append(_rival(name, _COPIES, usual.supposing(moves=_FromStarts), moved))
+            rival = _rival(name, _COPIES, usual.supposing(moves=_FromStarts), moved)
+            rivals.append(rival._replace(seen=first.starts if wide_view else None))
     return (*rivals, *_sizes(usual, first, generator))
+
+
+@torch.no_grad()
+def doubted(
+    pose_filter: PoseTrajectoryFilter, first: Trajectories, readings: Sequence[Reading], generator: torch.Generator
+) -> tuple[Rival, ...]:
+    """Further copies of no fault after all readings, with more particles: what an alarm is asked again by.
+
+    Args:
+        pose_filter: of no fault.
+        first: its particles after the first view, equally weighted.
+        readings: since then.
+        generator: of the draws.
+    """
+    usual = pose_filter.supposing(own=replace(pose_filter.own, first_particles=0))
+    copies: tuple[Rival, ...] = ()
+    for _ in range(_FURTHER):
+        now = first.at(torch.randint(len(first), (pose_filter.own.particles,), generator=generator))
+        copies = (*copies, _rival(NO_FAULT, 1, usual, now))
+    for reading in readings:
+        copies = followed(copies, reading, generator)
+    return copies
+
+
+def is_asked_again(rivals: Sequence[Rival]) -> bool:
+    """Whether there are further copies of no fault among them."""
+    return sum(rival.name == NO_FAULT for rival in rivals) > _COPIES
 
 
 def _rival(
@@ -135,15 +167,43 @@ def log_ratios(rivals: Sequence[Rival], own: float) -> Mapping[str, float]:
         rivals: after the readings.
         own: log marginal likelihood of no fault by the belief that a run goes by.
     """
-    none = log_none(rivals, own)
-    each = {name: [rival.log_evidence - none for rival in rivals if rival.name == name] for name in RIVALS}
-    return {name: float(torch.tensor(some).logsumexp(0)) if some else -math.inf for name, some in each.items()}
+    none, found = log_none(rivals, own), {}
+    for name in RIVALS:
+        some = [rival for rival in rivals if rival.name == name]
+        found[name] = _log_sum([rival.log_evidence for rival in some]) - none
+    return found
+
+
+def log_none_by(rival: Rival) -> float:
+    """Log marginal likelihood of no fault by the particles of a rival, times its share; -inf where it cannot tell.
+
+    No fault has another prior of the start pose and nothing else: the rival's marginal likelihood times the mean ratio
+    of both priors (importance sampling). What the two estimates err by they have in common, so that it is no evidence.
+    """
+    now = rival.now
+    if rival.seen is None or not len(rival.seen) or not len(now.starts):
+        return -math.inf
+    start = now.poses[:, 0]
+    spread = (_NARROWER * rival.seen[:, :2].std(0).amax()).clamp(_LEAST_KERNEL_M, KERNEL[0])
+    scale = torch.cat((spread.expand(2), spread.new_tensor(KERNEL[2:])))
+    seen = start_density(start, rival.seen, scale) - math.log(len(rival.seen))
+    moved = start_density(start, now.starts, start.new_tensor(KERNEL)) - math.log(len(now.starts))
+    return rival.log_evidence + log_mean(rival.log_weights, seen - moved)
+
+
+def _log_sum(logs: Sequence[float]) -> float:
+    return float(torch.tensor(logs, dtype=torch.float64).logsumexp(0)) if logs else -math.inf
 
 
 def log_none(rivals: Sequence[Rival], own: float) -> float:
-    """Log marginal likelihood of no fault: the mean over the belief that a run goes by and its copies."""
+    """Log marginal likelihood of no fault: the greatest of several estimates.
+
+    One is the mean over the belief that a run goes by and its copies; those by the rivals of each name are others. One
+    that is too small would be evidence of every fault, one that is too great is of none.
+    """
     copies = [rival.log_evidence for rival in rivals if rival.name == NO_FAULT]
-    return float(torch.tensor([own - math.log(len(copies) + 1), *copies], dtype=torch.float64).logsumexp(0))
+    others = [_log_sum([log_none_by(rival) for rival in rivals if rival.name == name]) for name in RIVALS]
+    return max(_log_sum([own, *copies]) - math.log(len(copies) + 1), *others)
 
 
 def _displaced(first: Trajectories, ring: Ring, generator: torch.Generator) -> Trajectories:

@@ -48,6 +48,7 @@ _APART_M = 0.01  # between places of the hand that feel something at one instant
 _TELLS = 1.0  # nats that a reading is short of what fits best, from which on something can be told from it
 _FALSE = 0.3  # share of the actions with a false contact, where there are such
 _BRIEF = 0.8, 0.1  # chance that a false contact, and a true one, lasts for two instants at most
+_AN_INSTANT, _PADS = 2, 2  # instants that a brief contact lasts at most, and pads of a hand
 _UNMET_M = 0.012  # from the surface of every particle: what is felt there is felt by none
 _STRAINED = 15.0  # nats that an action is unlikely by, from which on the push model is asked about
 _USUAL = 0.5  # share of the actions of a wrong push model that look as usual
@@ -98,7 +99,7 @@ def log_ratios(
     if felt:
         unmet = _unmet(after, history, model)
         told |= {
-            "false contacts": _false(len(unmet), own),
+            "false contacts": _false(len(unmet), own, stated_false(history, sensed)),
             "push model off": math.log(_USUAL),
             "stuck hand": _stuck(history, sensed) - none,
             "second object": math.log1p(-_FALSE),
@@ -128,12 +129,22 @@ def _tensor(told: Mapping[str, float]) -> Float[Tensor, "K"]:
     return torch.tensor([told[name] for name in TRAJECTORY_FAULTS], dtype=torch.float64)
 
 
-def _false(unmet: int, own: MisfitSettings) -> float:
-    """Log-likelihood ratio of false contacts, by the instants at which something was felt where nothing is."""
+def _false(unmet: int, own: MisfitSettings, stated: float) -> float:
+    """Log-likelihood ratio of false contacts, by the instants at which something was felt where nothing is.
+
+    Pads that are stated to feel falsely now and then do so for an instant: that is no fault, unless it comes often.
+    """
     if not unmet:
         return math.log1p(-_FALSE)
-    lasts = math.log(_BRIEF[0] / _BRIEF[1] if unmet <= 2 else (1.0 - _BRIEF[0]) / (1.0 - _BRIEF[1]))
-    return math.log(_FALSE / own.outlier) + lasts
+    brief = unmet <= _AN_INSTANT
+    lasts, lasts_else = _BRIEF if brief else (1.0 - _BRIEF[0], 1.0 - _BRIEF[1])
+    none = own.outlier * lasts_else + (stated if brief else 0.0)
+    return math.log(_FALSE * lasts / none)
+
+
+def stated_false(history: History, sensed: PoseTrajectorySettings) -> float:
+    """Chance that pads which are as they are stated to be feel something false in an action."""
+    return -math.expm1(_PADS * len(history.tool) * math.log1p(-sensed.false))
 
 
 def _repeats(before: Trajectories, history: History) -> bool:
@@ -223,14 +234,17 @@ def _unmet(after: Trajectories, history: History, model: Pushed) -> list[int]:
 def last_contact_off(after: Trajectories, new: int, pose_filter: PoseTrajectoryFilter) -> float:
     """How far what the hand felt last, in so many new segments, is from where the nearest particle has it felt, metres.
 
-    The middle one of its points; 0 where nothing was felt.
+    The middle one of its points; 0 where nothing was felt, or nothing but what pads are stated to feel falsely.
     """
     history, model = after.history, pose_filter.model
+    false = _unmet(after, history.since(len(history) - new), model) if new and pose_filter.own.false else []
+    before = int(history.ends[len(history) - new - 1]) if new < len(history) else 0
+    strange = {before + instant for instant in false} if len(false) <= _AN_INSTANT else set()
     for segment in reversed(range(len(history) - new, len(history))):
         begin, end = (int(history.ends[at]) if at >= 0 else 0 for at in (segment - 1, segment))
         for instant in reversed(range(begin, end)):
             points = _felt_at(history, instant)
-            if len(points):
+            if len(points) and instant not in strange:
                 poses = torch.cat((after.poses[:, segment], after.poses[:, segment + 1]))
                 off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)) - pose_filter.own.felt_m
                 return float(off.abs().median(-1).values.min())

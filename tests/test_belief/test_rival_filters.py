@@ -1,5 +1,6 @@
 """Beliefs under faults that hold from the first view on: each is the likeliest where its fault is true."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -10,8 +11,23 @@ from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
-from rumi.belief.rival_filters import NO_FAULT, RIVALS, Rival, adopted, begun, followed, left, log_none, log_ratios
+from rumi.belief.rival_filters import (
+    NO_FAULT,
+    RIVALS,
+    Rival,
+    adopted,
+    begun,
+    doubted,
+    followed,
+    is_asked_again,
+    left,
+    log_none,
+    log_none_by,
+    log_ratios,
+)
+from rumi.belief.systematic_errors import NUMBERS
 from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_moves import KERNEL
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
@@ -84,6 +100,12 @@ def test_an_object_in_another_size_has_its_distances_and_outline(pose_filter):
 def test_what_was_moved_begins_at_its_distance_and_keeps_nothing_of_the_view(pose_filter, name, middle):
     some = [rival for rival in begun(pose_filter, believed(1.0), generator(5)) if rival.name == name]
     assert some and not any(len(rival.now.history) for rival in some)
+    assert all(rival.seen is None for rival in some)
+    off = pose_filter.supposing(own=replace(SENSED, view_off_m=0.0024))
+    first = believed(1.0)
+    first = replace(first, physics=torch.cat((first.physics, torch.zeros(60, NUMBERS, **DOUBLE)), -1))
+    kept = [rival.seen is not None for rival in begun(off, first, generator(5)) if rival.name == name]
+    assert kept and all(kept)
     far = torch.cat([rival.now.pose[:, :2].norm(dim=-1) for rival in some])
     assert float(far.median()) == pytest.approx(middle, rel=0.15)
 
@@ -109,9 +131,7 @@ def test_a_reading_far_from_the_object_tells_none_from_another(pose_filter):
 def test_no_fault_is_the_mean_over_its_copies_and_the_belief_that_a_run_goes_by(pose_filter):
     now, even = believed(1.0), torch.zeros(60, **DOUBLE).log_softmax(-1)
     share = -torch.tensor(3.0).log().item()
-    copies = [
-        Rival(NO_FAULT, share, pose_filter, replace(now, log_evidence=told), even, 0.0) for told in (-30.0, -34.0)
-    ]
+    copies = [Rival(NO_FAULT, 0.0, pose_filter, replace(now, log_evidence=told), even, 0.0) for told in (-30.0, -34.0)]
     mean = torch.tensor([-40.0, -30.0, -34.0], **DOUBLE).logsumexp(0).item() + share
     assert log_none(copies, -40.0) == pytest.approx(mean)
     fault = Rival("push model off", 0.0, pose_filter, replace(now, log_evidence=-31.0), even, 0.0)
@@ -138,3 +158,45 @@ def test_offsets_are_about_so_far_any_way_and_hardly_turn(ring):
     assert float(far.std()) == pytest.approx(ring.spread, rel=0.05)
     assert float(offsets[:, :2].mean(0).norm()) < 0.02 * ring.middle
     assert float(offsets[:, 2].std()) == pytest.approx(STRAIGHT_RAD, rel=0.05)
+
+
+def test_no_fault_by_an_offset_s_own_particles_is_what_it_is_by_the_view(pose_filter):
+    """Readings that are a normal density of the start pose: the particles of the offset tell what the view's would."""
+    random = generator(11)
+    seen = torch.randn(300, 3, generator=random, **DOUBLE) * torch.tensor([0.0025, 0.0025, 0.03], **DOUBLE)
+    moved = seen[torch.randint(300, (400,), generator=random)] + drawn(HAND, 400, random)
+    kernel = torch.tensor(KERNEL, **DOUBLE)
+    start = moved[torch.randint(400, (20000,), generator=random)]
+    start = start + kernel * torch.randn(20000, 3, generator=random, **DOUBLE)
+
+    def told(poses: torch.Tensor) -> torch.Tensor:
+        return -0.5 * ((poses[:, :2] - torch.tensor([0.003, 0.0], **DOUBLE)) / 0.002).square().sum(-1)
+
+    now = Trajectories.drawn(start, History.empty(), random, moved)
+    evidence = float(told(start).logsumexp(0)) - math.log(20000)
+    now = replace(now, log_evidence=evidence)
+    rival = Rival("hand off", -1.0, pose_filter, now, told(start).log_softmax(0), 0.0, seen)
+    # the density of the view: its draws, with a kernel of half their deviation
+    width = 0.5 * float(seen[:, :2].std(0).amax())
+    view = seen[torch.randint(300, (200000,), generator=random)]
+    view = view + torch.tensor([width, width, KERNEL[2]], **DOUBLE) * torch.randn(200000, 3, generator=random, **DOUBLE)
+    expected = float(told(view).logsumexp(0)) - math.log(200000)
+    assert log_none_by(rival) == pytest.approx(-1.0 + expected, abs=0.1)
+    # however much the marginal likelihood errs by, it is no evidence of the offset
+    lucky = rival._replace(now=replace(now, log_evidence=evidence + 20.0))
+    assert log_ratios([lucky], evidence)["hand off"] == pytest.approx(evidence - expected, abs=0.1)
+    assert log_none_by(rival._replace(seen=None)) == -torch.inf
+    assert log_none_by(rival._replace(now=replace(now, starts=moved[:0]))) == -torch.inf  # forgotten
+
+
+def test_where_an_alarm_is_due_no_fault_has_further_copies(pose_filter):
+    first = believed(1.0)
+    rivals = begun(pose_filter, first, generator(12))
+    further = doubted(pose_filter, first, [], generator(13))
+    assert not is_asked_again(rivals) and is_asked_again([*rivals, *further])
+    assert {(rival.name, len(rival.now)) for rival in further} == {(NO_FAULT, SENSED.particles)}
+    lucky = [rival._replace(now=replace(rival.now, log_evidence=-3.0)) for rival in further]
+    copies = [rival for rival in rivals if rival.name == NO_FAULT]
+    unlikely = [rival._replace(now=replace(rival.now, log_evidence=-30.0)) for rival in copies]
+    count = len(unlikely) + len(further) + 1
+    assert log_none([*unlikely, *lucky], -30.0) == pytest.approx(-3.0 + math.log(len(further) / count), abs=1e-6)

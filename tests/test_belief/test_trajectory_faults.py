@@ -1,7 +1,9 @@
 """Named faults of trajectories: densities are densities, and each fault ranks first where it happened."""
 
+import math
 from dataclasses import replace
 
+import pytest
 import torch
 
 from rumi.belief.misfit import MisfitSettings
@@ -9,7 +11,7 @@ from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.tempering import log_mean
-from rumi.belief.trajectory_faults import TRAJECTORY_FAULTS, log_ratios, new_segments
+from rumi.belief.trajectory_faults import TRAJECTORY_FAULTS, last_contact_off, log_ratios, new_segments
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.robot.gripper import GripperShape
@@ -70,11 +72,11 @@ def taken_in(before: Trajectories, segment: Segment, model) -> Trajectories:
     return replace(after, log_evidence=before.log_evidence + told)
 
 
-def ratios(model, segment: Segment) -> dict[str, float]:
+def ratios(model, segment: Segment, sensed: PoseTrajectorySettings = SENSED) -> dict[str, float]:
     before = particles()
     after = taken_in(before, segment._replace(weight=segment.weight.double()), model)
     even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
-    pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
+    pose_filter = PoseTrajectoryFilter(FilterSettings(trajectories=sensed), Discrepancy(model.sdf, 0.1), model)
     found = log_ratios(before, even, after, pose_filter, OWN, generator=generator(2))
     assert not bool(found.isnan().any()) and float(found.max()) < torch.inf
     return dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
@@ -96,6 +98,25 @@ def test_a_touch_where_nothing_is_that_lasts_an_instant_is_false(model):
     brief = ratios(model, reading(Kind.FELT, -0.3, instants=1))
     assert max(brief, key=brief.__getitem__) == "false contacts" and brief["false contacts"] > 5.0
     assert ratios(model, reading(Kind.FELT, -0.3))["false contacts"] < brief["false contacts"] - 2.0
+
+
+def test_pads_that_are_stated_to_feel_falsely_are_no_fault_when_they_do_once(model):
+    stated = replace(SENSED, false=2e-4)
+    brief = reading(Kind.FELT, -0.3, instants=1)
+    found = ratios(model, brief, stated)["false contacts"]
+    chance = 1.0 - (1.0 - 2e-4) ** 2  # two pads at one instant
+    assert found == pytest.approx(math.log(0.3 * 0.8 / (chance + 0.1 * OWN.outlier)))
+    longer = reading(Kind.FELT, -0.3)  # no pad that errs for an instant does that
+    assert ratios(model, longer, stated)["false contacts"] == ratios(model, longer)["false contacts"]
+
+
+def test_a_last_touch_that_pads_are_stated_to_feel_falsely_is_beside_nothing(model):
+    segment = reading(Kind.FELT, -0.3, instants=1)
+    after = taken_in(particles(), segment, model)
+    for false, off in ((0.0, 0.3), (2e-4, 0.0)):
+        settings = FilterSettings(trajectories=replace(SENSED, false=false))
+        pose_filter = PoseTrajectoryFilter(settings, Discrepancy(model.sdf, 0.1), model)
+        assert last_contact_off(after, 1, pose_filter) == pytest.approx(off, abs=0.05)
 
 
 def test_pads_that_pass_through_the_object_and_feel_nothing_say_that_it_is_gone_or_the_hand_dead(model):

@@ -204,7 +204,7 @@ class Rummager:
             if self.upright and unknown and self.filter.settings.motion in SLIDES and self.misfit.alpha > 0:
                 now = replace(now, unseated=unseated(state.watch.unseated, odd, touched))
             record = told(record, now, alarm)
-        if alarm is not None and not now.lost:
+        if now.set_aside or (alarm is not None and not now.lost):
             with clock("belief"):
                 belief, memory = searched_again(
                     last,

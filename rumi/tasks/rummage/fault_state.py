@@ -31,6 +31,7 @@ class Watch:
         rivals: beliefs under faults that hold from the first view on; None before they are asked.
         static: log-likelihood ratio of all readings so far of each such fault.
         beside_m: how far what was felt last is from where any particle has it felt.
+        set_aside: whether the last reading is left out: something was felt falsely in it, which by itself is no fault.
         waited: actions since an alarm was due whose fault is not clear yet.
     """
 
@@ -48,6 +49,7 @@ class Watch:
     static: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(RIVALS, 0.0))
     beside_m: float = 0.0
     waited: int = 0
+    set_aside: bool = False
 
     def doubt(self) -> str | None:
         """What speaks for a fault, though not enough for an alarm: no time to be sure."""

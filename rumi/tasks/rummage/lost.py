@@ -23,6 +23,7 @@ from rumi.records import StepRecord
 from rumi.tasks.rummage.fault_state import Watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, attach
+from sensors.reading import Reading
 
 PRIOR: dict[str, float] = {
     "knocked": 0.25,
@@ -56,6 +57,7 @@ _UNFELT = ("absent", "dead hand", NOTHING_FELT)
 _SURE = 0.95  # share of one of hand and camera in what both have, from which on it is named alone
 _CLEAR, _WAITS = 0.7, 2  # probability from which on an alarm is named at once, and actions that it waits for it
 _TELLS = 1.0  # nats
+_FALSE_TOUCH = "false touch"  # remark by a step whose reading was left out
 _STRAINED = -5.0  # nats of all readings so far, from which on faults from the first view on are asked about
 
 SLIDES: tuple[Motion, ...] = ("pushed", "corrected", "trajectory")
@@ -130,22 +132,20 @@ def watch(
     """
     open_yet = before.named in (None, *_UNFELT)  # what was only not felt may be felt again
     if own.alpha == 0 or (before.lost and not open_yet):
-        return replace(before, nats=0.0, p_value=1.0), None
+        return replace(before, nats=0.0, p_value=1.0, set_aside=False), None
     shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
     names, test = [name for name, _ in shares], ChangeTest(tuple(share for _, share in shares), own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
-    ratios = _ratios(last, record, pose_filter, model, own, generator)
+    of_action = _ratios(last, record, pose_filter, model, own, generator)
+    strange = follows(pose_filter) and own.recover and float(of_action[names.index("false contacts")]) > _TELLS
     rivals, static = before.rivals, before.static
-    if follows(pose_filter):
-        if open_yet:
-            rivals, static = _rivals(before, record, history, pose_filter, generator)
-        asked = [open_yet and static[name] > -math.inf for name in STATIC]
-        further = [
-            static[name] - before.static[name] if ask else -math.inf for name, ask in zip(STATIC, asked, strict=True)
-        ]
-        ratios = torch.cat((ratios, ratios.new_tensor(further)))
-    if before.following is not None:  # no prior is wider than a wide one
-        ratios = ratios.where(torch.tensor([name != "push model off" for name in names]), -torch.inf)
+    if follows(pose_filter) and open_yet and not strange:
+        rivals, static = _rivals(before, record, history, pose_filter, generator)
+    ratios = _all_ratios(before, of_action, static, names)
+    due = bool(test.alarm(test.update(evidence, ratios)))
+    if due and open_yet and not strange and rivals is not None and not rival_filters.is_asked_again(rivals):
+        rivals, static = _asked_again(rivals, record, history, pose_filter, generator)
+        ratios = _all_ratios(before, of_action, static, names)
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
     chances = dict.fromkeys(["no fault", *names], 0.0)
@@ -160,9 +160,10 @@ def watch(
         beside_m=_beside(last, record, pose_filter) if bool(record.reading.in_contact.any()) else before.beside_m,
         rivals=rivals,
         static=static,
+        set_aside=False,
     )
     if not bool(test.alarm(evidence)):
-        return after, None
+        return replace(after, set_aside=strange), None
     name, chance = _named(chances)
     clear = sum(chances[each] for each in _SEARCHED) if name in _SEARCHED else chance
     if clear < _CLEAR and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
@@ -207,10 +208,49 @@ def _rivals(
         if none > _STRAINED or not isinstance(first, PoseTrajectoryBelief) or first.trajectories is None:
             return None, before.static
         rivals = rival_filters.begun(pose_filter, first.trajectories, generator)
-        readings = [*(step.reading for step in history[1:]), record.reading]
+        readings = _taken_in(history, record)
     for reading in readings:
         rivals = rival_filters.followed(rivals, reading, generator)
     rivals = rival_filters.left(rivals, rival_filters.log_none(rivals, none))
+    return rivals, rival_filters.log_ratios(rivals, none)
+
+
+def _taken_in(history: Sequence[StepRecord], record: StepRecord) -> list[Reading]:
+    """Readings since the first view that were not left out."""
+    steps = [step for step in history[1:] if all(remark.name != _FALSE_TOUCH for remark in step.remarks)]
+    return [*(step.reading for step in steps), record.reading]
+
+
+def _all_ratios(
+    before: Watch, of_action: Float[Tensor, "k"], static: Mapping[str, float], names: Sequence[str]
+) -> Float[Tensor, "K"]:
+    """Log-likelihood ratios of a reading, of faults of the action and of those that hold from the first view on."""
+    open_yet = before.named in (None, *_UNFELT)
+    rest = [
+        static[name] - before.static[name] if open_yet and static[name] > -math.inf else -math.inf
+        for name in names[len(of_action) :]
+    ]
+    ratios = torch.cat((of_action, of_action.new_tensor(rest)))
+    if before.following is not None:  # no prior is wider than a wide one
+        ratios = ratios.where(torch.tensor([name != "push model off" for name in names]), -torch.inf)
+    return ratios
+
+
+def _asked_again(
+    rivals: tuple[Rival, ...],
+    record: StepRecord,
+    history: Sequence[StepRecord],
+    pose_filter: PoseFilter,
+    generator: torch.Generator,
+) -> tuple[tuple[Rival, ...], Mapping[str, float]]:
+    """Rivals with further copies of no fault, where an alarm is due, and what they say then."""
+    first, here = history[0].belief, record.belief
+    assert follows(pose_filter)
+    assert isinstance(first, PoseTrajectoryBelief) and first.trajectories is not None
+    assert isinstance(here, PoseTrajectoryBelief) and here.trajectories is not None
+    readings = _taken_in(history, record)
+    copies = rival_filters.doubted(pose_filter, first.trajectories, readings, generator)
+    rivals, none = (*rivals, *copies), here.trajectories.log_evidence
     return rivals, rival_filters.log_ratios(rivals, none)
 
 
@@ -255,6 +295,9 @@ def _chances(test: ChangeTest, evidence: ChangeEvidence) -> list[float]:
 
 def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRecord:
     """A step's record with what is known of faults after it."""
+    if now.set_aside:
+        said = "something was felt for an instant where no pose that is believed has a surface: left out"
+        record = replace(record, remarks=(*record.remarks, Remark(_FALSE_TOUCH, record.step, said)))
     return replace(
         record,
         lost=now.nats,

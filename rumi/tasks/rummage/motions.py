@@ -153,6 +153,7 @@ def as_inexact(
         first_particles=own.first_particles if known else max(own.first_particles, _FIRST),
         missed=max(own.missed, pads.missed),
         dead=max(own.dead, pads.dead),
+        false=max(own.false, pads.false),
         friction=(own.friction[0], math.hypot(own.friction[1], build.friction / math.sqrt(3.0))),
         centre_m=math.hypot(own.centre_m, build.com_m / math.sqrt(5.0)),
         along=wider * own.along,

@@ -54,7 +54,7 @@ def searched_again(
         generator: of draws.
     """
     named = now.named
-    if named in _STRANGE:
+    if named in _STRANGE or now.set_aside:
         return last.belief, before
     if isinstance(pose_filter, IslandFilter):
         begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)

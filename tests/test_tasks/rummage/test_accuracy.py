@@ -57,10 +57,10 @@ def test_systematic_errors_have_the_deviations_of_what_is_drawn():
     assert found.across > OWN.across and found.least_m > OWN.least_m
 
 
-def test_pads_that_miss_are_believed_to():
-    simulator = SimSettings(pads=PadErrors(dead=0.1, missed=0.05))
+def test_pads_that_miss_and_feel_falsely_are_believed_to():
+    simulator = SimSettings(pads=PadErrors(dead=0.1, missed=0.05, false=0.001))
     found = as_inexact(OWN, simulator, BOUNDS)
-    assert (found.dead, found.missed) == (0.1, 0.05)
+    assert (found.dead, found.missed, found.false) == (0.1, 0.05, 0.001)
 
 
 @pytest.mark.usefixtures("at_home")

@@ -1,5 +1,6 @@
 """A run that is lost: the test of its readings, and the search that begins anew from one of them."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -12,7 +13,7 @@ from rumi.belief.remarks import Remark
 from rumi.tasks.rummage import lost
 from rumi.tasks.rummage.entry import ENTRIES, Rummaging, ending
 from rumi.tasks.rummage.fault_state import Watch
-from rumi.tasks.rummage.lost import told, unseated, watch
+from rumi.tasks.rummage.lost import PRIOR, STATIC, told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
 from sdf import se3
 from sdf.object_model import box_model
@@ -125,6 +126,41 @@ def test_an_alarm_waits_for_two_telling_actions_at_most_where_its_fault_is_not_c
     assert [now.waited for now, _, _ in found[:3]] == [1, 1, 2]
     assert [remark and remark.name for _, _, remark in found] == [None, None, None, "lost: knocked"]
     assert all(now.doubt() is not None for now, _, _ in found[:3]) and found[-1][0].waited == 0
+
+
+@pytest.mark.parametrize(("again", "alarmed"), [(0.0, False), (20.0, True)])
+def test_an_alarm_by_a_rival_is_asked_again(model, pose_filter, monkeypatch, again, alarmed):
+    def told(nats):
+        return (), dict.fromkeys(STATIC, -math.inf) | {"hand off": nats}
+
+    monkeypatch.setattr(lost, "follows", lambda _: True)
+    monkeypatch.setattr(lost, "_ratios", lambda *_: torch.zeros(len(PRIOR), dtype=torch.float64))
+    monkeypatch.setattr(lost, "_rivals", lambda *_: told(20.0))
+    monkeypatch.setattr(lost, "_asked_again", lambda *_: told(again))
+    monkeypatch.setattr(lost.rival_filters, "is_asked_again", lambda _: False)
+    [(now, _, remark)] = followed(model, pose_filter, [step(model, 1, 0.0)])
+    assert (remark is not None) == alarmed and now.static["hand off"] == again
+    assert remark is None or remark.name == "lost: hand off"
+
+
+def test_a_reading_with_a_false_touch_that_is_no_fault_is_left_out_and_told(model, pose_filter, monkeypatch):
+    ratios = torch.zeros(len(PRIOR), dtype=torch.float64)
+    ratios[list(PRIOR).index("false contacts")] = 3.0
+    monkeypatch.setattr(lost, "follows", lambda _: True)
+    monkeypatch.setattr(lost, "_ratios", lambda *_: ratios)
+    monkeypatch.setattr(lost, "_rivals", lambda *_: (None, dict.fromkeys(STATIC, 0.0)))
+    last, record = step(model, 1, 0.0), step(model, 2, 0.3)
+    [(now, _, remark)] = followed(model, pose_filter, [record])
+    assert remark is None and now.set_aside and not now.lost
+    assert [odd.name for odd in told(record, now).remarks] == ["false touch"]
+    memory, random = Observation.empty(), torch.Generator()
+    belief, kept = searched_again(last, record, record.added, pose_filter, OWN, now, before=memory, generator=random)
+    assert belief is last.belief and kept is memory
+    [(left, _, _)] = followed(model, pose_filter, [record], replace(OWN, recover=False))
+    assert not left.set_aside
+    ratios[list(PRIOR).index("false contacts")] = 20.0  # now it is a fault, which drops the reading too
+    [(now, _, remark)] = followed(model, pose_filter, [record])
+    assert remark is not None and remark.name == "lost: false contacts" and not now.set_aside
 
 
 def test_what_was_not_felt_and_is_felt_again_elsewhere_is_searched_for(model, pose_filter):
