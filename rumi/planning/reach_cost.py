@@ -1,7 +1,7 @@
 """Reachability cost: information that is pushed to where the robot does not reach (RUMI, Alg 8)."""
 
 import math
-from functools import cached_property
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from rumi.dynamics.tool_lookup import FieldSampler
 from sdf import backend, compiled
-from sdf.check import check_shape, eager_only
+from sdf.check import check_shape, eager_only, is_eager
 from sdf.voxel_grid import VoxelGrid
 
 _SHIFTS = 256
@@ -61,6 +61,19 @@ def _quick_length(least: int) -> int:
         length += 1
 
 
+class _Once:
+    """An attribute that is worked out where it is first asked for, and kept; not so where code is traced."""
+
+    def __init__(self, make: Callable[[Any], Any]) -> None:
+        self.make, self.name, self.__doc__ = make, make.__name__, make.__doc__
+
+    def __get__(self, of: Any, kind: type) -> Any:  # noqa: ANN401  (whatever is worked out)
+        value = self.make(of)
+        if is_eager():
+            of.__dict__[self.name] = value  # found before this from now on
+        return value
+
+
 class ReachabilityCost:
     """C_R of displacements: minus the share of the information that stays reachable, mean over the steps.
 
@@ -93,21 +106,21 @@ class ReachabilityCost:
         self.all_tables: Tensor | None = None
         self._compiled: Any = None
 
-    @cached_property
+    @_Once
     def table(self) -> Float[Tensor, "X2 Y2 Z2"]:
         """Share of the information that stays reachable, of every whole shift; the middle node is no shift."""
         return self._table(self.information.values)
 
-    @cached_property
+    @_Once
     def _correlation(self) -> CrossCorrelation:
         return CrossCorrelation(self.reachability.values)
 
-    @cached_property
+    @_Once
     def _share(self) -> FieldSampler:
         origin = self.total.new_tensor([-(n - 1.0) * self.information.spacing for n in self.information.shape])
         return FieldSampler(VoxelGrid(self.table, origin, self.information.spacing))
 
-    @cached_property
+    @_Once
     def held(self) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N"]]:
         """Nodes that have information, and what they have."""
         where = self.information.values.nonzero()
