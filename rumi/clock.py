@@ -60,3 +60,22 @@ class Clock:
         """Go on from what was taken: the same step is not over yet."""
         for stage, seconds in taken.items():
             self._seconds[stage] = self._seconds.get(stage, 0.0) + seconds
+
+
+class Stopwatch:
+    """Seconds by stage since it was made, each stage begun where the one before ended.
+
+    Args:
+        now: the clock that they are read from.
+    """
+
+    def __init__(self, now: Now) -> None:
+        self.laps: dict[str, float] = {}
+        self._now = now
+        self._last = now()
+
+    def lap(self, stage: str) -> None:
+        """Add the time since the last lap to a stage."""
+        now = self._now()
+        self.laps[stage] = self.laps.get(stage, 0.0) + now - self._last
+        self._last = now

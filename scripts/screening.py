@@ -19,9 +19,9 @@ import torch
 from rumi import loop
 from rumi.cache import cache_folder
 from rumi.cli import script
+from rumi.clock import Stopwatch
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import PlanRequest
-from rumi.planning.rummaging import _Stopwatch
 from rumi.seeding import generator
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import preset
@@ -83,7 +83,7 @@ def measure(task: str, seed: int) -> dict[str, Any]:
 def _costs(policy: Any, request: PlanRequest, controls: torch.Tensor) -> list[float]:  # noqa: ANN401
     """Costs of control sequences, by many full rollouts with the same draws."""
     budget = PlanBudget(None, time.perf_counter, None)
-    view = policy._view_in_time(request.belief, request.scene, None, budget, _Stopwatch(time.perf_counter))
+    view = policy._view_in_time(request.belief, request.scene, None, budget, Stopwatch(time.perf_counter))
     count = 40 if request.scene.tool.spatial else 64
     with torch.no_grad():
         rolled = view.model.rollout(request.scene.configuration, controls, rollouts=count, generator=generator(0))

@@ -1,8 +1,7 @@
 """Policy: the protocol of a planner, its request and its plan."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -14,6 +13,7 @@ from rumi import seeding
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.fields.workspace import Workspace
+from rumi.planning.sampled_paths import SampledPaths
 from rumi.robot.tool import Tool
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation
@@ -41,24 +41,6 @@ class Scene:
     observed: Observation | None = None
     reading: Reading | None = None
     pushes: PushPosterior | None = None
-
-
-@dataclass(frozen=True)
-class SampledPaths:
-    """Paths of some of the samples that a plan was weighed from, in the order of their costs.
-
-    Attributes:
-        found: works the paths out: it takes as long as a fifth of a plan, and most plans are never drawn.
-        costs: (K,), finite, the least first.
-    """
-
-    found: Callable[[], Float[Tensor, "K T1 Q"]]
-    costs: Float[Tensor, "K"]
-
-    @cached_property
-    def paths(self) -> Float[Tensor, "K T1 Q"]:
-        """Configurations (K, T+1, Q) if nothing is in the way, the present one first."""
-        return self.found()
 
 
 @dataclass(frozen=True)

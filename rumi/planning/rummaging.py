@@ -13,13 +13,10 @@ from torch import Tensor
 from kmppi import MPPI, ControlPlan, Rollouts
 from rumi import seeding
 from rumi.belief.particles import PoseBelief, subsample
-from rumi.clock import Now
+from rumi.clock import Now, Stopwatch
 from rumi.dynamics.base import PushDefaults, PushRollouts, RolloutModel
 from rumi.dynamics.registry import PushModels
-from rumi.fields.information import (
-    WorkspaceFields,
-    information_field,
-)
+from rumi.fields.information import WorkspaceFields, information_field
 from rumi.planning.objective import (
     Objective,
     TrajectoryCost,
@@ -29,8 +26,9 @@ from rumi.planning.objective import (
     without,
 )
 from rumi.planning.plan_budget import PlanBudget
-from rumi.planning.policy import Plan, PlanRequest, SampledPaths, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging_settings import RummagingSettings
+from rumi.planning.sampled_paths import sampled_paths
 from rumi.robot.tool import Tool
 from sdf import gpu, skipped_work
 from sdf.check import may_look
@@ -50,8 +48,6 @@ _FEW = 8
 _VIEW_SHARE = 0.4
 # particles that would take as long as what of them does not depend on the number of particles
 _VIEW_FIXED = 10
-# samples whose paths are kept with a plan
-_KEPT_PATHS = 16
 # times that a plan which stands still is made anew, and what becomes of the weight on reach each time
 _RELAXED, _EASED = 3, 0.25
 
@@ -91,11 +87,13 @@ class RummagingPolicy:
         A plan that gathers next to nothing, since all else would cost reach, is made anew with less weight on reach: a
         run that is not over gains nothing by standing still.
         """
-        plan, suited = self.planned(request), self.suited(request.belief, request.scene)
+        suited = self.suited(request.belief, request.scene)
+        plan = self.planned(request, suited)
         for relaxed in range(_RELAXED if self._weighs_both(suited) and request.budget_s is None else 0):
             if sum(plan.info["predicted_information"]) >= suited.least_share * plan.info["information_total"]:
                 break
-            before, plan = plan, self.planned(request, reach_share=_EASED ** (relaxed + 1))
+            scale = _EASED ** (relaxed + 1) * suited.reachability_scale
+            before, plan = plan, self.planned(request, suited._replace(reachability_scale=scale))
             spent = {stage: s + plan.timings_s.get(stage, 0.0) for stage, s in before.timings_s.items()}
             plan = replace(plan, timings_s=spent)
         return plan
@@ -104,8 +102,8 @@ class RummagingPolicy:
         """Whether plans weigh information against reach, so that reach may be eased."""
         return self.reachability is not None and suited.reachability_scale > 0 and self.settings.information_scale > 0
 
-    def planned(self, request: PlanRequest, reach_share: float = 1.0) -> Plan:
-        """The plan with a share of the weight on reach.
+    def planned(self, request: PlanRequest, suited: PushDefaults) -> Plan:
+        """The plan by what suits the scene, such as the weight on reach.
 
         A first plan starts from noise and takes the warm-up iterations; a later one starts from the previous plan,
         `executed` controls further on.
@@ -121,12 +119,10 @@ class RummagingPolicy:
         belief, scene, previous = request.belief, request.scene, request.previous
         executed = request.executed
         poses = belief.world_T_object
-        suited = self.settings.suited(self.push_models.chosen(poses, scene.tool))
-        suited = suited._replace(reachability_scale=reach_share * suited.reachability_scale)
         with skipped_work.account() as work, gpu.no_waits(poses.device):
             now = gpu.after_all(poses.device, self.now) if request.budget_s is not None else self.now
             budget = PlanBudget(request.budget_s, now, None if previous is None else previous.info.get("pace"))
-            watch = _Stopwatch(now)
+            watch = Stopwatch(now)
             configuration, count = scene.configuration.to(scene.workspace.points), suited.rollouts
             generator = seeding.on_device(request.generator, configuration.device)
             mppi = self._mppi(configuration)
@@ -191,7 +187,7 @@ class RummagingPolicy:
         samples: Rollouts,
         unseen: tuple[Tensor, ...],
         work: skipped_work.Account,
-        watch: "_Stopwatch",
+        watch: Stopwatch,
     ) -> Plan:
         predicted, gathered = self._predicted(view, configuration, nominal, watch)
         fields, objective = view.fields, view.objective
@@ -216,11 +212,11 @@ class RummagingPolicy:
                 "predicted_displacement": torch.diff(moves, dim=0).tolist(),
             }
             | objective.info,
-            samples=_sampled_paths(tool, configuration, samples, costs),
+            samples=sampled_paths(tool, configuration, samples, costs),
         )
 
     def _predicted(
-        self, view: "PlanningModel", configuration: Float[Tensor, "Q"], nominal: ControlPlan, watch: "_Stopwatch"
+        self, view: "PlanningModel", configuration: Float[Tensor, "Q"], nominal: ControlPlan, watch: Stopwatch
     ) -> tuple[PushRollouts, Float[Tensor, "H"]]:
         """What a plan is expected to do, and what each of its actions gathers."""
         predicted = view.model.nominal_rollout(configuration, nominal.controls)
@@ -235,7 +231,7 @@ class RummagingPolicy:
         scene: Scene,
         previous: Plan | None,
         budget: PlanBudget,
-        watch: "_Stopwatch",
+        watch: Stopwatch,
         poses: Float[Tensor, "N 4 4"] | None = None,
         suited: PushDefaults | None = None,
     ) -> "PlanningModel":
@@ -265,7 +261,7 @@ class RummagingPolicy:
         poses: Float[Tensor, "N 4 4"],
         scene: Scene,
         budget: PlanBudget,
-        watch: "_Stopwatch",
+        watch: Stopwatch,
     ) -> tuple[WorkspaceFields, RolloutModel]:
         workspace, sdf, log_weights = scene.workspace, scene.model.sdf, belief.log_weights
         begun = budget.now()
@@ -387,38 +383,6 @@ class PlanningModel(NamedTuple):
     fields: WorkspaceFields
     model: RolloutModel
     objective: Objective
-
-
-def _sampled_paths(
-    tool: Tool, configuration: Float[Tensor, "Q"], samples: Rollouts, costs: Float[Tensor, "K"]
-) -> SampledPaths:
-    """Paths of samples from the best to the worst, evenly through their ranks, by their costs that are on the host."""
-    finite = costs.isfinite().nonzero()[:, 0]
-    ranked = finite[costs[finite].argsort()]
-    ranks = torch.linspace(0, len(ranked) - 1, min(_KEPT_PATHS, len(ranked)), device=ranked.device).round().long()
-    kept = ranked[ranks]
-
-    @torch.no_grad()
-    def found() -> Float[Tensor, "K T1 Q"]:
-        controls = samples.controls[kept.to(samples.controls.device)].to(configuration)
-        free = tool.free_path(configuration.expand(len(kept), -1), controls, 1)
-        return torch.cat((configuration.expand(len(kept), 1, -1), free), 1)
-
-    return SampledPaths(found, costs[kept])
-
-
-class _Stopwatch:
-    """Seconds by stage since it was made."""
-
-    def __init__(self, now: Now) -> None:
-        self.laps: dict[str, float] = {}
-        self._now = now
-        self._last = now()
-
-    def lap(self, name: str) -> None:
-        now = self._now()
-        self.laps[name] = self.laps.get(name, 0.0) + now - self._last
-        self._last = now
 
 
 def info_only(settings: RummagingSettings | None = None) -> RummagingPolicy:

@@ -13,7 +13,8 @@ from kmppi import ControlPlan
 from rumi.belief.particles import PoseBelief
 from rumi.belief.remarks import Remark
 from rumi.fields.workspace import Workspace
-from rumi.planning.policy import Plan, SampledPaths
+from rumi.planning.policy import Plan
+from rumi.planning.sampled_paths import SampledPaths
 from rumi.records import StepRecord
 from rumi.runs.plain import plain
 from rumi.runs.scene_geometry import OutlineMap, SceneGeometry

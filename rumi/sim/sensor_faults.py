@@ -35,8 +35,7 @@ class HandOff(Fault):
         carried = taken @ se3.inverse(reading.tool_pose)
 
         def moved(points: Tensor, instant: Tensor) -> Tensor:
-            own = carried[instant]
-            return (own[:, :3, :3] @ points[..., None])[..., 0] + own[:, :3, 3]
+            return se3.apply(carried[instant], points[:, None])[:, 0]
 
         if isinstance(reading, ContactReading):
             wrench = replace(reading.wrench, points=moved(reading.wrench.points, reading.wrench.instant))
@@ -177,10 +176,7 @@ class SecondObject(Fault):
         when, which = met.nonzero(as_tuple=True)
         if not len(when):
             return reading
-        own = reading.tool_pose[when]
-        points = Observation.of(
-            (own[:, :3, :3] @ hand.pads[which][..., None])[..., 0] + own[:, :3, 3], Semantics.SURFACE
-        )
+        points = Observation.of(se3.apply(reading.tool_pose[when], hand.pads[which][:, None])[:, 0], Semantics.SURFACE)
         return replace(
             reading,
             observation=concatenate([points, reading.observation]),

@@ -9,13 +9,15 @@ from torch import Tensor
 
 from kmppi import MPPI, MPPISettings
 from rumi.belief.particles import PoseBelief
+from rumi.clock import Stopwatch
+from rumi.dynamics.base import PushDefaults
 from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings, WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, PlanRequest, Scene
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, _Stopwatch, info_only, reach_only
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
 from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
@@ -108,9 +110,9 @@ def test_a_plan_that_stands_still_for_the_sake_of_reach_is_made_anew(scene: Scen
     asked: list[float] = []
 
     class Asked(RummagingPolicy):
-        def planned(self, request: PlanRequest, reach_share: float = 1.0) -> Plan:
-            asked.append(reach_share)
-            return super().planned(request, reach_share)
+        def planned(self, request: PlanRequest, suited: PushDefaults) -> Plan:
+            asked.append(suited.reachability_scale / 3000.0)
+            return super().planned(request, suited)
 
     def gathered(settings: RummagingSettings, **budget: float) -> float:
         asked.clear()
@@ -129,7 +131,7 @@ def test_a_plan_that_stands_still_for_the_sake_of_reach_is_made_anew(scene: Scen
     gathered(replace(heavy, least_share=1.0), budget_s=100.0)
     assert asked == [1.0]
     gathered(replace(heavy, least_share=1.0, reachability_scale=0.0))
-    assert asked == [1.0]
+    assert asked == [0.0]
 
 
 def test_goes_where_the_information_is(scene: Scene) -> None:
@@ -250,7 +252,7 @@ def test_only_samples_of_little_coarse_cost_are_rolled_out_in_full(scene: Scene,
     ] * 4
     # those that were kept are told from the rest by what they are found to cost
     alone = RummagingPolicy(falling(scene), replace(settings, screen_kept=1.0))
-    view = alone._view_in_time(belief(at=(0.32, 0.0)), scene, None, PlanBudget(None, float), _Stopwatch(float))
+    view = alone._view_in_time(belief(at=(0.32, 0.0)), scene, None, PlanBudget(None, float), Stopwatch(float))
     random = torch.Generator().manual_seed(0)
     costs = view.objective.cost(
         view.model.coarse().rollout(scene.configuration, seen[0][1], rollouts=2, generator=random)
