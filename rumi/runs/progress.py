@@ -3,7 +3,6 @@
 import math
 import sys
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import Any, Protocol, Self, runtime_checkable
 
 from tqdm import tqdm
@@ -84,9 +83,7 @@ class Progress:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._bar is not None:
             self._bar.close()
 

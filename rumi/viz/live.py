@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Self
 
 from rumi.environment import has_display
@@ -70,9 +69,7 @@ class LiveView:
         found = None if pose is None else StepEstimate(record.step, float(record.step), pose, tool)
         self._recording.add(record, found)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         with contextlib.suppress(Exception):  # of a viewer that is gone
             self._stream.flush(timeout_sec=_PATIENCE_S)
         with contextlib.suppress(Exception):
