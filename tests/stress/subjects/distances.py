@@ -219,13 +219,11 @@ def _discrepancy_in(version: str, dtype: torch.dtype, inputs: Inputs) -> Tensor:
 def _enter() -> None:
     metres, off = "m, beyond 1 m of them", "metres from the origin"
     for half in (False, True):
-        register(
-            Sweep(
-                f"distances-table-{'half' if half else 'float32'}", _draw_points,
-                partial(_looked_up, torch.float32, half), partial(_looked_up, F64, half), _distance_error, 1e-5, metres,
-                _off, off,
-            )
-        )  # fmt: skip
+        register(Sweep(
+            f"distances-table-{'half' if half else 'float32'}", _draw_points,
+            partial(_looked_up, torch.float32, half), partial(_looked_up, F64, half), _distance_error, 1e-5, metres,
+            _off, off,
+        ))  # fmt: skip
     for sweep in (
         Sweep(
             "distances-closed-forms", _draw_shape, partial(_closed, torch.float32), partial(_closed, F64),
@@ -249,28 +247,22 @@ def _enter() -> None:
     for version in VERSIONS:
         for about, world in (("", 1.0), ("-20m", 20.0)):
             limit = 1e-5
-            register(
-                Sweep(
-                    f"distances-posed{about}-{version}", partial(_draw_posed, world),
-                    partial(_posed_in, version, torch.float32), partial(_posed_in, "torch", F64), of_numbers, limit,
-                    "m", _world, off,
-                )
-            )  # fmt: skip
-        register(
-            Sweep(
-                f"distances-posed-gradient-{version}", partial(_draw_posed, 1.0),
-                partial(_gradient_in, version, torch.float32), partial(_gradient_in, "torch", F64), _gradient_error,
-                1e-3, "1", _world, off,
-            )
-        )  # fmt: skip
-        register(
-            Sweep(
-                f"distances-discrepancy-{version}", partial(_draw_posed, 1.0),
-                partial(_discrepancy_in, version, torch.float32), partial(_discrepancy_in, "torch", F64),
-                lambda got, wanted, i: (got.double() - wanted).abs() / wanted.amax(), 1e-5, "of the greatest",
-                _world, off,
-            )
-        )  # fmt: skip
+            register(Sweep(
+                f"distances-posed{about}-{version}", partial(_draw_posed, world),
+                partial(_posed_in, version, torch.float32), partial(_posed_in, "torch", F64), of_numbers, limit,
+                "m", _world, off,
+            ))  # fmt: skip
+        register(Sweep(
+            f"distances-posed-gradient-{version}", partial(_draw_posed, 1.0),
+            partial(_gradient_in, version, torch.float32), partial(_gradient_in, "torch", F64), _gradient_error,
+            1e-3, "1", _world, off,
+        ))  # fmt: skip
+        register(Sweep(
+            f"distances-discrepancy-{version}", partial(_draw_posed, 1.0),
+            partial(_discrepancy_in, version, torch.float32), partial(_discrepancy_in, "torch", F64),
+            lambda got, wanted, i: (got.double() - wanted).abs() / wanted.amax(), 1e-5, "of the greatest",
+            _world, off,
+        ))  # fmt: skip
 
 
 _enter()

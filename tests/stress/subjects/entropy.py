@@ -161,12 +161,10 @@ def _exact_capacity(inputs: Inputs) -> Tensor:
 
 
 def _enter() -> None:
-    register(
-        Sweep(
-            "entropy-of-weights", _draw_weights, lambda i: weights_entropy(i["log_weights"]), _exact_entropy,
-            _of_numbers, 1e-5, "nats", _size, "states",
-        )
-    )  # fmt: skip
+    register(Sweep(
+        "entropy-of-weights", _draw_weights, lambda i: weights_entropy(i["log_weights"]), _exact_entropy,
+        _of_numbers, 1e-5, "nats", _size, "states",
+    ))  # fmt: skip
     for version in VERSIONS:
         for name in ENTROPIES:
             neighbour = name == "neighbour"
@@ -175,26 +173,20 @@ def _enter() -> None:
             # near the last digit two neighbours are equally far, and either is the farthest
             draw = partial(_draw_states, 1e-3 if neighbour else 1e-7)
             wanted = _exact_neighbour if neighbour else partial(_entropy, name, "torch", F64)
-            register(
-                Sweep(
-                    f"entropy-{name}-{version}", draw, partial(_entropy, name, version, torch.float32), wanted,
-                    _of_numbers, limit, "nats", _size, "states",
-                )
-            )  # fmt: skip
-    register(
-        Sweep(
-            "entropy-expected-gain", _draw_outcome, _gain, _exact_gain, _gain_error, 2e-6, "nats",
-            lambda i: i["probability"].double().amax(-1) - i["probability"].double().amin(-1), "spread of the chances",
-        )
-    )  # fmt: skip
+            register(Sweep(
+                f"entropy-{name}-{version}", draw, partial(_entropy, name, version, torch.float32), wanted,
+                _of_numbers, limit, "nats", _size, "states",
+            ))  # fmt: skip
+    register(Sweep(
+        "entropy-expected-gain", _draw_outcome, _gain, _exact_gain, _gain_error, 2e-6, "nats",
+        lambda i: i["probability"].double().amax(-1) - i["probability"].double().amin(-1), "spread of the chances",
+    ))  # fmt: skip
     if exact.available():
-        register(
-            Sweep(
-                "entropy-channel-capacity", _draw_channel,
-                lambda i: torch.tensor([channel_capacity(i["low"], i["high"])], dtype=F64), _exact_capacity,
-                _of_numbers, 1e-9, "nats", lambda i: torch.tensor([i["high"] - i["low"]]), "gap of the chances",
-            )
-        )  # fmt: skip
+        register(Sweep(
+            "entropy-channel-capacity", _draw_channel,
+            lambda i: torch.tensor([channel_capacity(i["low"], i["high"])], dtype=F64), _exact_capacity,
+            _of_numbers, 1e-9, "nats", lambda i: torch.tensor([i["high"] - i["low"]]), "gap of the chances",
+        ))  # fmt: skip
 
 
 _enter()

@@ -81,29 +81,23 @@ def _enter() -> None:
         return torch.tensor([inputs["spread"]])
 
     for version in VERSIONS:
-        register(
-            Sweep(
-                f"fields-semantics-{version}", _draw, partial(_fields, version, "sensor_mi", torch.float32),
-                partial(_fields, "torch", "sensor_mi", F64), _semantics_error, 1e-5, "1", spread, "spread of poses, m",
-            )
-        )  # fmt: skip
+        register(Sweep(
+            f"fields-semantics-{version}", _draw, partial(_fields, version, "sensor_mi", torch.float32),
+            partial(_fields, "torch", "sensor_mi", F64), _semantics_error, 1e-5, "1", spread, "spread of poses, m",
+        ))  # fmt: skip
         for mode in MODES:
-            register(
-                Sweep(
-                    f"fields-{mode.replace('_', '-')}-{version}", _draw, partial(_fields, version, mode, torch.float32),
-                    partial(_fields, "torch", mode, F64), _information_error, 1e-5, "of the greatest", spread,
-                    "spread of poses, m",
-                )
-            )  # fmt: skip
+            register(Sweep(
+                f"fields-{mode.replace('_', '-')}-{version}", _draw, partial(_fields, version, mode, torch.float32),
+                partial(_fields, "torch", mode, F64), _information_error, 1e-5, "of the greatest", spread,
+                "spread of poses, m",
+            ))  # fmt: skip
     for mode in MODES[:1] + MODES[2:]:
         # the surrogate is not 0 where all poses agree
-        register(
-            Sweep(
-                f"fields-{mode.replace('_', '-')}-of-agreement", _draw_agreed, partial(_agreed, mode),
-                lambda i: torch.zeros(200, dtype=F64), lambda got, wanted, i: measures.absolute(got, wanted), 1e-6,
-                "nats", lambda i: i["distance"][0].abs(), "distance, m",
-            )
-        )  # fmt: skip
+        register(Sweep(
+            f"fields-{mode.replace('_', '-')}-of-agreement", _draw_agreed, partial(_agreed, mode),
+            lambda i: torch.zeros(200, dtype=F64), lambda got, wanted, i: measures.absolute(got, wanted), 1e-6,
+            "nats", lambda i: i["distance"][0].abs(), "distance, m",
+        ))  # fmt: skip
 
 
 _enter()

@@ -171,45 +171,33 @@ def _enter() -> None:
         return inputs["distance"].double().abs()
 
     if exact.available():
-        register(
-            Sweep(
-                "likelihoods-contact", _draw_contact, _contact, _exact_contact, of_numbers, 1e-4, "nats", size,
-                "distance, m",
-            )
-        )  # fmt: skip
-        register(
-            Sweep(
-                "likelihoods-semantics", _draw_semantics, _semantics, _exact_semantics, of_numbers, 1e-4, "nats", size,
-                "distance, m",
-            )
-        )  # fmt: skip
-    register(
-        Sweep(
-            "likelihoods-log-surface", _draw_semantics, partial(_log_surface, torch.float32),
-            partial(_log_surface, F64), _box_error, 1e-5, "nats, beyond 1 of them", size, "distance, m",
-        )
-    )  # fmt: skip
-    register(
-        Sweep(
-            "likelihoods-box-touches", _draw_touches, partial(_box_touches, torch.float32), partial(_box_touches, F64),
-            _box_error, 1e-3, "nats, beyond 1 of them", lambda i: i["points"].double().norm(dim=-1), "distance, m",
-        )
-    )  # fmt: skip
+        register(Sweep(
+            "likelihoods-contact", _draw_contact, _contact, _exact_contact, of_numbers, 1e-4, "nats", size,
+            "distance, m",
+        ))  # fmt: skip
+        register(Sweep(
+            "likelihoods-semantics", _draw_semantics, _semantics, _exact_semantics, of_numbers, 1e-4, "nats", size,
+            "distance, m",
+        ))  # fmt: skip
+    register(Sweep(
+        "likelihoods-log-surface", _draw_semantics, partial(_log_surface, torch.float32),
+        partial(_log_surface, F64), _box_error, 1e-5, "nats, beyond 1 of them", size, "distance, m",
+    ))  # fmt: skip
+    register(Sweep(
+        "likelihoods-box-touches", _draw_touches, partial(_box_touches, torch.float32), partial(_box_touches, F64),
+        _box_error, 1e-3, "nats, beyond 1 of them", lambda i: i["points"].double().norm(dim=-1), "distance, m",
+    ))  # fmt: skip
     for version in VERSIONS:
-        register(
-            Sweep(
-                f"likelihoods-touches-{version}", _draw_touches, partial(_touches, version, torch.float32),
-                partial(_touches, "torch", F64), of_touch, 1.0, "of 1e-6 m",
-                lambda i: torch.tensor([i["noise"].point_m]), "sigma, m",
-            )
-        )  # fmt: skip
-        register(
-            Sweep(
-                f"likelihoods-nll-{version}", _draw_nll, partial(_nll, version, torch.float32),
-                partial(_nll, "torch", F64), _nll_error, 1e-4, "nats, beyond 1 of them",
-                lambda i: torch.tensor([i["size"]]), "size of the errors, m",
-            )
-        )  # fmt: skip
+        register(Sweep(
+            f"likelihoods-touches-{version}", _draw_touches, partial(_touches, version, torch.float32),
+            partial(_touches, "torch", F64), of_touch, 1.0, "of 1e-6 m",
+            lambda i: torch.tensor([i["noise"].point_m]), "sigma, m",
+        ))  # fmt: skip
+        register(Sweep(
+            f"likelihoods-nll-{version}", _draw_nll, partial(_nll, version, torch.float32),
+            partial(_nll, "torch", F64), _nll_error, 1e-4, "nats, beyond 1 of them",
+            lambda i: torch.tensor([i["size"]]), "size of the errors, m",
+        ))  # fmt: skip
 
 
 _enter()

@@ -274,44 +274,32 @@ def _nodes(inputs: Inputs) -> Tensor:
 
 def _enter() -> None:
     if exact.available():
-        register(
-            Sweep(
-                "planning-sample-weights", _draw_costs,
-                lambda i: sample_weights(i["costs"], i["temperature"], cost_scale=i["scale"])[None], _exact_weights,
-                of_numbers, 1e-9, "1", _temperature, "temperature",
-            )
-        )  # fmt: skip
-        register(
-            Sweep(
-                "planning-knots-to-controls", _draw_kernel, _curves, _exact_curves, of_numbers, 1e-8, "1",
-                lambda i: torch.tensor([i["condition"]]), "condition of the kernel's matrix",
-            )
-        )  # fmt: skip
-    register(
-        Sweep(
-            "planning-kernels-float32", _draw_ratios, partial(_kernels, torch.float32), partial(_kernels, F64),
-            of_numbers, 1e-5, "1", lambda i: torch.tensor([i["scale"]]), "scale",
-        )
-    )  # fmt: skip
-    register(
-        Sweep(
-            "planning-mppi", _draw_plan, _plan, lambda i: torch.zeros(1, dtype=F64), of_numbers, 1e-5, "1",
-            _temperature, "temperature",
-        )
-    )  # fmt: skip
-    register(
-        Sweep(
-            "planning-workspace", _draw_workspace, _nodes, lambda i: (i["cells"] + 1).double()[None], of_numbers, 0.0,
-            "nodes", lambda i: torch.tensor([i["spacing"]]), "spacing, m",
-        )
-    )  # fmt: skip
+        register(Sweep(
+            "planning-sample-weights", _draw_costs,
+            lambda i: sample_weights(i["costs"], i["temperature"], cost_scale=i["scale"])[None], _exact_weights,
+            of_numbers, 1e-9, "1", _temperature, "temperature",
+        ))  # fmt: skip
+        register(Sweep(
+            "planning-knots-to-controls", _draw_kernel, _curves, _exact_curves, of_numbers, 1e-8, "1",
+            lambda i: torch.tensor([i["condition"]]), "condition of the kernel's matrix",
+        ))  # fmt: skip
+    register(Sweep(
+        "planning-kernels-float32", _draw_ratios, partial(_kernels, torch.float32), partial(_kernels, F64),
+        of_numbers, 1e-5, "1", lambda i: torch.tensor([i["scale"]]), "scale",
+    ))  # fmt: skip
+    register(Sweep(
+        "planning-mppi", _draw_plan, _plan, lambda i: torch.zeros(1, dtype=F64), of_numbers, 1e-5, "1",
+        _temperature, "temperature",
+    ))  # fmt: skip
+    register(Sweep(
+        "planning-workspace", _draw_workspace, _nodes, lambda i: (i["cells"] + 1).double()[None], of_numbers, 0.0,
+        "nodes", lambda i: torch.tensor([i["spacing"]]), "spacing, m",
+    ))  # fmt: skip
     for version in VERSIONS:
-        register(
-            Sweep(
-                f"planning-information-cost-{version}", _draw_paths, partial(_gathered, version), _allowed, _outside,
-                1e-5, "of the greatest", _worth, "information in all, nats",
-            )
-        )  # fmt: skip
+        register(Sweep(
+            f"planning-information-cost-{version}", _draw_paths, partial(_gathered, version), _allowed, _outside,
+            1e-5, "of the greatest", _worth, "information in all, nats",
+        ))  # fmt: skip
 
 
 _enter()

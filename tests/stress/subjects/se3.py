@@ -165,88 +165,64 @@ def _enter() -> None:
         twisted = partial(_draw_twists, dtype, CASES)
         if fine and exact.available():
             few = partial(_draw_twists, dtype, FEW)
-            register(
-                Sweep(
-                    "se3-exp-float64", few, lambda i: se3.exp(i["twist"]), _exact_exp, of_pose, limit, "m, rad",
-                    _angle, "angle",
-                )
-            )  # fmt: skip
-            register(
-                Sweep(
-                    "se3-exp-gradient-float64", few, _jacobian, _exact_jacobian, _jacobian_error, 1e-11, "1",
-                    _angle, "angle",
-                )
-            )  # fmt: skip
+            register(Sweep(
+                "se3-exp-float64", few, lambda i: se3.exp(i["twist"]), _exact_exp, of_pose, limit, "m, rad",
+                _angle, "angle",
+            ))  # fmt: skip
+            register(Sweep(
+                "se3-exp-gradient-float64", few, _jacobian, _exact_jacobian, _jacobian_error, 1e-11, "1",
+                _angle, "angle",
+            ))  # fmt: skip
         if not fine:
             # in float64 these would be held to themselves
-            register(
-                Sweep(
-                    "se3-mean-float32", partial(_draw_mean, dtype), lambda i: se3.mean(i["group"], i["weights"]),
-                    lambda i: se3.mean(i["group"].double(), i["weights"].double()), of_pose, limit, "m, rad",
-                    lambda i: i["weights"].double().sum(-1).log10(), "log10 of the weights' sum",
-                )
-            )  # fmt: skip
-            register(
-                Sweep(
-                    "se3-apply-float32", partial(_draw_points, dtype), lambda i: se3.apply(i["pose"], i["points"]),
-                    lambda i: se3.apply(i["pose"].double(), i["points"].double()), of_numbers, limit, "m",
-                    _to_pi, at_pi,
-                )
-            )  # fmt: skip
-            register(
-                Sweep(
-                    "se3-exp-float32", twisted, lambda i: se3.exp(i["twist"]),
-                    lambda i: se3.exp(i["twist"].double()), of_pose, limit, "m, rad", _angle, "angle",
-                )
-            )  # fmt: skip
-            register(
-                Sweep(
-                    "se3-exp-gradient-float32", twisted, _jacobian,
-                    lambda i: _jacobian({"twist": i["twist"].double()}), _jacobian_error, 1e-5, "1", _angle, "angle",
-                )
-            )  # fmt: skip
+            register(Sweep(
+                "se3-mean-float32", partial(_draw_mean, dtype), lambda i: se3.mean(i["group"], i["weights"]),
+                lambda i: se3.mean(i["group"].double(), i["weights"].double()), of_pose, limit, "m, rad",
+                lambda i: i["weights"].double().sum(-1).log10(), "log10 of the weights' sum",
+            ))  # fmt: skip
+            register(Sweep(
+                "se3-apply-float32", partial(_draw_points, dtype), lambda i: se3.apply(i["pose"], i["points"]),
+                lambda i: se3.apply(i["pose"].double(), i["points"].double()), of_numbers, limit, "m",
+                _to_pi, at_pi,
+            ))  # fmt: skip
+            register(Sweep(
+                "se3-exp-float32", twisted, lambda i: se3.exp(i["twist"]),
+                lambda i: se3.exp(i["twist"].double()), of_pose, limit, "m, rad", _angle, "angle",
+            ))  # fmt: skip
+            register(Sweep(
+                "se3-exp-gradient-float32", twisted, _jacobian,
+                lambda i: _jacobian({"twist": i["twist"].double()}), _jacobian_error, 1e-5, "1", _angle, "angle",
+            ))  # fmt: skip
         posed = partial(_draw_poses, dtype)
         # a rounded rotation is no rotation: what it misses counts for the input, not for the logarithm
-        register(
-            Sweep(
-                f"se3-log-{name}", posed, lambda i: se3.log(i["pose"]), lambda i: _proper(i["pose"]), _log_error,
-                2e-12 if fine else POSE, "m, rad", _to_pi, at_pi,
-            )
-        )  # fmt: skip
-        register(
-            Sweep(
-                f"se3-compose-{name}", posed, lambda i: se3.compose(i["pose"], i["other"]),
-                lambda i: _proper(i["pose"].double() @ i["other"].double()), of_pose, limit, "m, rad", _to_pi, at_pi,
-            )
-        )  # fmt: skip
-        register(
-            Sweep(
-                f"se3-inverse-{name}", posed, lambda i: se3.inverse(i["pose"]) @ i["pose"],
-                lambda i: se3.identity((CASES,), dtype=torch.float64), of_pose, limit, "m, rad", _to_pi, at_pi,
-            )
-        )  # fmt: skip
-        register(
-            Sweep(
-                f"se3-distance-{name}", partial(_draw_pairs, dtype), _distance, _wanted_distance, of_numbers,
-                1e-12 if fine else POSE, "m, rad",
-                lambda i: math.pi - _wanted_distance(i)[..., 1], at_pi,
-            )
-        )  # fmt: skip
-    register(
-        Sweep(
-            "se3-log-gradient-float32", partial(_draw_twists, torch.float32, CASES),
-            lambda i: _log_jacobian(torch.float32, _below_pi(i)), lambda i: _log_jacobian(torch.float64, _below_pi(i)),
-            of_numbers, 1e-3, "1", _angle, "angle",
-        )
-    )  # fmt: skip
+        register(Sweep(
+            f"se3-log-{name}", posed, lambda i: se3.log(i["pose"]), lambda i: _proper(i["pose"]), _log_error,
+            2e-12 if fine else POSE, "m, rad", _to_pi, at_pi,
+        ))  # fmt: skip
+        register(Sweep(
+            f"se3-compose-{name}", posed, lambda i: se3.compose(i["pose"], i["other"]),
+            lambda i: _proper(i["pose"].double() @ i["other"].double()), of_pose, limit, "m, rad", _to_pi, at_pi,
+        ))  # fmt: skip
+        register(Sweep(
+            f"se3-inverse-{name}", posed, lambda i: se3.inverse(i["pose"]) @ i["pose"],
+            lambda i: se3.identity((CASES,), dtype=torch.float64), of_pose, limit, "m, rad", _to_pi, at_pi,
+        ))  # fmt: skip
+        register(Sweep(
+            f"se3-distance-{name}", partial(_draw_pairs, dtype), _distance, _wanted_distance, of_numbers,
+            1e-12 if fine else POSE, "m, rad",
+            lambda i: math.pi - _wanted_distance(i)[..., 1], at_pi,
+        ))  # fmt: skip
+    register(Sweep(
+        "se3-log-gradient-float32", partial(_draw_twists, torch.float32, CASES),
+        lambda i: _log_jacobian(torch.float32, _below_pi(i)), lambda i: _log_jacobian(torch.float64, _below_pi(i)),
+        of_numbers, 1e-3, "1", _angle, "angle",
+    ))  # fmt: skip
     for steps, chains, slow in ((10**4, 32, False), (10**6, 32, True)):
-        register(
-            Sweep(
-                f"se3-{steps:.0e}-compositions-float32".replace("e+0", "e"), partial(_draw_chain, steps, chains),
-                _chain, _exact_chain, _chain_error, 1.0, "of 1e-6 and 1e-4 rad",
-                lambda i: i["size"].flatten(), "size of the motions", slow=slow,
-            )
-        )  # fmt: skip
+        register(Sweep(
+            f"se3-{steps:.0e}-compositions-float32".replace("e+0", "e"), partial(_draw_chain, steps, chains),
+            _chain, _exact_chain, _chain_error, 1.0, "of 1e-6 and 1e-4 rad",
+            lambda i: i["size"].flatten(), "size of the motions", slow=slow,
+        ))  # fmt: skip
 
 
 def _below_pi(inputs: Inputs) -> Inputs:

@@ -193,12 +193,10 @@ def _enter() -> None:
             ),
         ):  # fmt: skip
             register(sweep)
-    register(
-        Sweep(
-            "touching-alike-float32", _draw_alike, _apart, lambda i: torch.zeros(64, 2, dtype=F64), of_numbers, 1e-5,
-            "m, rad", lambda i: torch.tensor([float(len(i["symmetries"]))]), "turns of the object",
-        )
-    )  # fmt: skip
+    register(Sweep(
+        "touching-alike-float32", _draw_alike, _apart, lambda i: torch.zeros(64, 2, dtype=F64), of_numbers, 1e-5,
+        "m, rad", lambda i: torch.tensor([float(len(i["symmetries"]))]), "turns of the object",
+    ))  # fmt: skip
 
 
 _enter()
