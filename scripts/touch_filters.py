@@ -8,7 +8,7 @@ python -m scripts.touch_filters --place-m 0.015 --turn-rad 0.15 --json table2.js
 import json
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -29,8 +29,6 @@ class Options:
         place_m: standard deviation of the box's place.
         turn_rad: of its yaw.
         readings: contact signals of a push.
-        rates: true and false positive rate that the filters count on.
-        exact: signals are the truth; otherwise they are drawn at the rates.
         seed: of all randomness.
         json: file for all figures.
     """
@@ -42,8 +40,6 @@ class Options:
     place_m: float = 0.02
     turn_rad: float = 0.2
     readings: int = 60
-    rates: tuple[float, float] = (0.99, 0.01)
-    exact: bool = True
     seed: int = 0
     json: Path | None = None
 
@@ -51,8 +47,7 @@ class Options:
 def main() -> None:
     """Print the table."""
     options = tyro.cli(Options, description=__doc__)
-    setup = wide(PushSetup(), options.place_m, options.turn_rad)
-    setup = replace(setup, readings=options.readings, rates=options.rates, exact=options.exact)
+    setup = wide(PushSetup(readings=options.readings), options.place_m, options.turn_rad)
     begun = time.perf_counter()
     found = compare(
         setup,

@@ -4,7 +4,7 @@ import itertools
 import math
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -23,8 +23,7 @@ from sensors.touch.contact_model import ContactModel
 # particles that are carried at once: few enough for the processor's cache
 _AT_ONCE = 100_000
 
-Variant = Literal["binary", "smooth", "smooth+replay", "smooth+newcomers", "smooth+importance"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
+Variant = Literal["binary", "smooth", "smooth+replay", "smooth+newcomers"]
 
 
 @dataclass(frozen=True)
@@ -36,13 +35,12 @@ class PushSetup:
         finger_m: radius of the finger.
         start: of the finger.
         length_m: of the push, along x.
-        readings: contact signals along it, evenly spaced.
+        readings: contact signals along it, evenly spaced; they are the truth.
         spread: standard deviations of the box's pose (x, y, yaw) about the origin, for the prior and the truth.
         friction: between finger and box; known.
         lever_m: c of the limit surface; known.
         rates: true and false positive rate that the filters count on.
         decay: of the smooth model, 1/m.
-        exact: signals are the truth; False draws them at the rates.
         contact_m: distance up to which finger and box touch, for the truth and the binary model.
     """
 
@@ -56,7 +54,6 @@ class PushSetup:
     lever_m: float = 0.0448
     rates: tuple[float, float] = (0.99, 0.01)
     decay: float = 1000.0
-    exact: bool = True
     contact_m: float = 1e-4
 
 
@@ -65,15 +62,12 @@ class Scores(NamedTuple):
 
     Attributes:
         top_m, top_rad: mean absolute error of the ten heaviest particles, position and yaw.
-        top_square_m, top_square_rad: mean squared error of the same.
         mean_m, mean_rad: error of the weighted mean.
         active: share of the particles with a weight above 1e-4.
     """
 
     top_m: Float[Tensor, "R"]
     top_rad: Float[Tensor, "R"]
-    top_square_m: Float[Tensor, "R"]
-    top_square_rad: Float[Tensor, "R"]
     mean_m: Float[Tensor, "R"]
     mean_rad: Float[Tensor, "R"]
     active: Float[Tensor, "R"]
@@ -83,7 +77,7 @@ def make_filter(setup: PushSetup, variant: Variant) -> TrajectoryFilter:
     """The filter of a variant."""
     tp, fp = setup.rates
     decay = None if variant == "binary" else setup.decay
-    rules = {"smooth+replay": "replay", "smooth+newcomers": "newcomers", "smooth+importance": "importance"}
+    rules = {"smooth+replay": "replay", "smooth+newcomers": "newcomers"}
     settings = TrajectorySettings(
         resampling=rules.get(variant, "none"),  # type: ignore[arg-type]
         friction=(setup.friction, setup.friction),
@@ -115,10 +109,6 @@ def truth_of(setup: PushSetup, runs: int, *, generator: torch.Generator) -> tupl
     own = Sliding(torch.zeros(2), torch.tensor(setup.lever_m), torch.tensor(setup.friction)).expand(runs)
     carried = push_along_path(start, path[None], finger, outline, own, substeps=1)
     contact = carried.distance <= setup.contact_m
-    if not setup.exact:
-        tp, fp = setup.rates
-        chance = torch.where(contact, tp, fp)
-        contact = torch.rand(chance.shape, generator=generator) < chance
     actions = [TouchAction(path[t : t + 2], contact[:, t : t + 1]) for t in range(setup.readings)]
     return carried.track[:, -1], actions
 
@@ -167,9 +157,7 @@ def score(belief: TrajectoryBelief, truth: Float[Tensor, "R 3"], top: int = 10) 
     # the mean turn from the truth, on the circle
     mean_turn = torch.atan2((weights * turn.sin()).sum(1), (weights * turn.cos()).sum(1)).abs()
     active = (weights > 1e-4).to(weights.dtype).mean(1)
-    return Scores(
-        top_m.mean(1), top_rad.mean(1), top_m.square().mean(1), top_rad.square().mean(1), mean, mean_turn, active
-    )
+    return Scores(top_m.mean(1), top_rad.mean(1), mean, mean_turn, active)
 
 
 def compare(
