@@ -1,9 +1,10 @@
 """What is timed: a case is some work, its variants are ways to do it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import torch
 from torch import Tensor
@@ -122,16 +123,28 @@ SLOW: set[str] = set()
 """Names of those that a quick run leaves out unless they are asked for."""
 
 
-def case(name: str, *, slow: bool = False) -> Callable[[Callable[[Setup], Case]], Callable[[Setup], Case]]:
-    """Decorator that enters a function as the maker of a case."""
+Make = TypeVar("Make", bound=Callable[..., Case])
 
-    def enter(make: Callable[[Setup], Case]) -> Callable[[Setup], Case]:
-        CASES[name] = make
-        if slow:
-            SLOW.add(name)
+
+def case(name: str, *, slow: bool = False) -> Callable[[Make], Make]:
+    """Decorator that enters a function as the maker of a case."""
+    return cases({name: ()}, slow=slow)
+
+
+def cases(named: Mapping[str, tuple[Any, ...]], *, slow: bool = False) -> Callable[[Make], Make]:
+    """Decorator that enters a function as the maker of several cases: what it takes beside the setup, by case."""
+
+    def enter(make: Make) -> Make:
+        for name, given in named.items():
+            CASES[name] = partial(_made, make, given)
+        SLOW.update(named if slow else ())
         return make
 
     return enter
+
+
+def _made(make: Callable[..., Case], given: tuple[Any, ...], setup: Setup) -> Case:
+    return make(setup, *given)
 
 
 def largest_difference(found: Any, reference: Any) -> float:  # noqa: ANN401  (tensors, in tuples or alone)

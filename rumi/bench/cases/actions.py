@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from rumi import loop
-from rumi.bench.case import Case, Setup, Variant, case, largest_difference
+from rumi.bench.case import Case, Setup, Variant, case, cases, largest_difference
 from rumi.clock import Clock
 from rumi.records import StepRecord
 from rumi.task import StepResult
@@ -105,7 +105,11 @@ class _Timed:
             seconds.append(time.process_time() - start)
 
 
-def _actions(setup: Setup, name: str) -> Case:
+@cases(
+    {f"actions-{name}": (name,) for name in ("mug-0", "drill-0", "box-0", "shelf-mug", "touch-box", "peg", "handle")},
+    slow=True,
+)
+def actions(setup: Setup, name: str) -> Case:
     """A run of a task by its default, and its replay without the simulator."""
     entry = TASKS[name]
     settings = replace(entry.preset(entry.presets[0]), seed=_SEED)
@@ -153,16 +157,6 @@ def _least_median(runs: Sequence[Sequence[float]]) -> float:
 
 def _ms(seconds: float) -> float:
     return round(1e3 * seconds, 2)
-
-
-def _enter(name: str) -> None:
-    @case(f"actions-{name}", slow=True)
-    def actions(setup: Setup) -> Case:
-        return _actions(setup, name)
-
-
-for _name in ("mug-0", "drill-0", "box-0", "shelf-mug", "touch-box", "peg", "handle"):
-    _enter(_name)
 
 
 @case("run-mug", slow=True)

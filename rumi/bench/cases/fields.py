@@ -4,20 +4,30 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-from rumi.bench.case import Case, Setup, case, largest_difference
-from rumi.bench.scenes import SCENES, FieldScene
+from rumi.bench.case import Case, Setup, cases, largest_difference
+from rumi.bench.scenes import SCENES
 from rumi.fields.information import InformationMode, InformationSettings, information_field
 from rumi.fields.normal import expected_normal
 
 
-def _field(setup: Setup, scene: FieldScene, mode: InformationMode) -> Case:
+@cases(
+    {
+        "field-mug": ("mug", "surrogate"),
+        "field-box": ("box", "surrogate"),
+        "field-mug-mi": ("mug", "sensor_mi"),
+        "field-box-mi": ("box", "sensor_mi"),
+    }
+)
+def field(setup: Setup, name: str, mode: InformationMode) -> Case:
+    """The field of an object, the paper's or the default one."""
+    scene = SCENES[name](setup)
     poses, log_weights, points = scene.world_T_object, scene.log_weights, scene.points
     lean, every = InformationSettings(mode), InformationSettings(mode, tail=0.0)
 
-    def field(settings: InformationSettings) -> Callable[[], tuple[Tensor, ...]]:
+    def found(settings: InformationSettings) -> Callable[[], tuple[Tensor, ...]]:
         return lambda: information_field(scene.model.sdf, poses, log_weights, points, settings)
 
-    variants = (*setup.ours(field(lean)), *setup.ours(field(every), "all points"))
+    variants = (*setup.ours(found(lean)), *setup.ours(found(every), "all points"))
     kind = "the paper's surrogate" if mode == "surrogate" else "mutual information, the default"
     return Case(
         f"semantics and information ({kind}): {scene.what}",
@@ -29,31 +39,10 @@ def _field(setup: Setup, scene: FieldScene, mode: InformationMode) -> Case:
     )
 
 
-@case("field-mug")
-def field_mug(setup: Setup) -> Case:
-    """The paper's field of the mug."""
-    return _field(setup, SCENES["mug"](setup), "surrogate")
-
-
-@case("field-box")
-def field_box(setup: Setup) -> Case:
-    """The paper's field of the box."""
-    return _field(setup, SCENES["box"](setup), "surrogate")
-
-
-@case("field-mug-mi")
-def field_mug_mi(setup: Setup) -> Case:
-    """The default field of the mug."""
-    return _field(setup, SCENES["mug"](setup), "sensor_mi")
-
-
-@case("field-box-mi")
-def field_box_mi(setup: Setup) -> Case:
-    """The default field of the box."""
-    return _field(setup, SCENES["box"](setup), "sensor_mi")
-
-
-def _normal(setup: Setup, scene: FieldScene) -> Case:
+@cases({"normal-mug": ("mug",), "normal-box": ("box",)})
+def normal(setup: Setup, name: str) -> Case:
+    """An object's expected normals."""
+    scene = SCENES[name](setup)
     poses, log_weights, points = scene.world_T_object, scene.log_weights, scene.points
     variants = setup.ours(lambda: expected_normal(scene.model.sdf, poses, log_weights, points))
     return Case(
@@ -65,15 +54,3 @@ def _normal(setup: Setup, scene: FieldScene) -> Case:
         # a gradient is that of the cell that a point falls in, which rounding decides at a node
         tolerance=2e-2,
     )
-
-
-@case("normal-mug")
-def normal_mug(setup: Setup) -> Case:
-    """The mug's expected normals."""
-    return _normal(setup, SCENES["mug"](setup))
-
-
-@case("normal-box")
-def normal_box(setup: Setup) -> Case:
-    """The box's expected normals."""
-    return _normal(setup, SCENES["box"](setup))

@@ -1,11 +1,21 @@
 """Signed distances of workspace points from one object at many poses."""
 
-from rumi.bench.case import Case, Setup, case, largest_difference
-from rumi.bench.scenes import SCENES, FieldScene
+from rumi.bench.case import Case, Setup, cases, largest_difference
+from rumi.bench.scenes import SCENES
 from sdf.posed import posed_distance, posed_query
 
 
-def _lookup(setup: Setup, scene: FieldScene, *, gradient: bool) -> Case:
+@cases(
+    {
+        "distance-mug": ("mug", False),
+        "distance-box": ("box", False),
+        "gradient-mug": ("mug", True),
+        "gradient-box": ("box", True),
+    }
+)
+def lookup(setup: Setup, name: str, gradient: bool) -> Case:
+    """Distances from an object, with their gradients or without."""
+    scene = SCENES[name](setup)
     sdf, poses, points = scene.model.sdf, scene.world_T_object, scene.points
     variants = setup.ours(lambda: posed_query(sdf, poses, points) if gradient else posed_distance(sdf, poses, points))
     what = "distance and gradient" if gradient else "distance"
@@ -21,27 +31,3 @@ def _lookup(setup: Setup, scene: FieldScene, *, gradient: bool) -> Case:
 
 def _distance(found: object) -> object:
     return found[0] if isinstance(found, tuple) else found
-
-
-@case("distance-mug")
-def distance_mug(setup: Setup) -> Case:
-    """Distances from the mug."""
-    return _lookup(setup, SCENES["mug"](setup), gradient=False)
-
-
-@case("distance-box")
-def distance_box(setup: Setup) -> Case:
-    """Distances from the box."""
-    return _lookup(setup, SCENES["box"](setup), gradient=False)
-
-
-@case("gradient-mug")
-def gradient_mug(setup: Setup) -> Case:
-    """Distances from the mug with their gradients."""
-    return _lookup(setup, SCENES["mug"](setup), gradient=True)
-
-
-@case("gradient-box")
-def gradient_box(setup: Setup) -> Case:
-    """Distances from the box with their gradients."""
-    return _lookup(setup, SCENES["box"](setup), gradient=True)

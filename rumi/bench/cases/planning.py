@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.bench.case import Case, Setup, case, largest_difference
+from rumi.bench.case import Case, Setup, case, cases, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
@@ -49,31 +49,16 @@ def _case(title: str, setup: Setup, policy: Policy, belief: PoseBelief, scene: S
     )
 
 
-@case("plan-mug")
-def plan_mug(setup: Setup) -> Case:
-    """The planning pass of mug-0 after its first view, under the paper's push model."""
-    return _task(setup, "mug-0", "displacement")
-
-
-@case("plan-mug-pushed")
-def plan_mug_pushed(setup: Setup) -> Case:
-    """The same pass under the quasi-static push model, which is the default there."""
-    return _task(setup, "mug-0", "quasi-static")
-
-
-@case("plan-drill-space")
-def plan_drill_space(setup: Setup) -> Case:
-    """The planning pass of drill-0 before anything is seen, as its default plans: tool and particles in space."""
-    return _task(setup, "drill-0", "displacement")
-
-
-@case("plan-box-space")
-def plan_box_space(setup: Setup) -> Case:
-    """The planning pass of box-0 before anything is seen, as its default plans: tool and particles in space."""
-    return _task(setup, "box-0", "displacement")
-
-
-def _task(setup: Setup, task: str, push_model: str) -> Case:
+@cases(
+    {
+        "plan-mug": ("mug-0", "displacement"),
+        "plan-mug-pushed": ("mug-0", "quasi-static"),
+        "plan-drill-space": ("drill-0", "displacement"),
+        "plan-box-space": ("box-0", "displacement"),
+    }
+)
+def plan(setup: Setup, task: str, push_model: str) -> Case:
+    """The planning pass of a task under a push model: of mug-0 after its first view, else before anything is seen."""
     if setup.tiny:
         made_up = mug_scene(setup) if task == "mug-0" else box_scene(setup)
         return _made_up(setup, made_up, "made up", push_model)

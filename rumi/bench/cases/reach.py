@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from rumi.bench.case import Case, Setup, Variant, case, largest_difference
+from rumi.bench.case import Case, Setup, Variant, cases, largest_difference
 from rumi.bench.scenes import SCENES, FieldScene
 from rumi.fields.information import information_field
 from rumi.planning.reach_cost import ReachabilityCost
@@ -25,7 +25,10 @@ def reach_inputs(setup: Setup, scene: FieldScene) -> tuple[VoxelGrid, VoxelGrid,
     return information, reachability, steps.cumsum(1).to(setup.device)
 
 
-def _reach(setup: Setup, scene: FieldScene) -> Case:
+@cases({"reach-mug": ("mug",), "reach-box": ("box",)})
+def reach(setup: Setup, name: str) -> Case:
+    """Reachability cost, of the mug on a planar lattice, of the box on a 3-D one."""
+    scene = SCENES[name](setup)
     information, reachability, moved = reach_inputs(setup, scene)
 
     def wide(grid: VoxelGrid) -> VoxelGrid:
@@ -48,15 +51,3 @@ def _reach(setup: Setup, scene: FieldScene) -> Case:
             "costs": [round(float(reference.min()), 3), round(float(reference.max()), 3)],
         },
     )
-
-
-@case("reach-mug")
-def reach_mug(setup: Setup) -> Case:
-    """Reachability cost on a planar lattice."""
-    return _reach(setup, SCENES["mug"](setup))
-
-
-@case("reach-box")
-def reach_box(setup: Setup) -> Case:
-    """Reachability cost on a 3-D lattice."""
-    return _reach(setup, SCENES["box"](setup))

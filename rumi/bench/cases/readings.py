@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rumi.belief.pushed_pose import PushedPoseFilter
 from rumi.belief.pushed_pose_reading import PushedPoseBelief
-from rumi.bench.case import Case, Setup, Variant, case
+from rumi.bench.case import Case, Setup, Variant, cases
 from rumi.bench.scenes import HEIGHT_M, mug_scene
 from rumi.dynamics.along_path import push_along_path
 from rumi.dynamics.push_parameters import sliding_of
@@ -25,7 +25,8 @@ _EPISODES = 200  # 100 000 readings; a quick run has a tenth
 _NOISE = (1e-3, 1e-3, 0.0175)
 
 
-def _reading(setup: Setup, what: str, aside_m: float) -> Case:
+@cases({"reading-contact": ("in contact", 0.01), "reading-free": ("free", 1.0)}, slow=True)
+def reading(setup: Setup, what: str, aside_m: float) -> Case:
     """A tool that passes by an object `aside_m` beside its middle."""
     scene = mug_scene(setup)
     body = PushedBody.of(scene.model.sdf, HEIGHT_M, GripperShape())
@@ -35,9 +36,9 @@ def _reading(setup: Setup, what: str, aside_m: float) -> Case:
     def run(timed: Callable[[float], None] | None = None) -> Tensor:
         random = split(1, "bench/readings")
         belief: PushedPoseBelief = filter_.initial(readings[0], generator=random)
-        for index, reading in enumerate(readings[1:]):
+        for index, read in enumerate(readings[1:]):
             start = time.thread_time()
-            belief = filter_.step(belief, path[index : index + 2], reading, generator=random)
+            belief = filter_.step(belief, path[index : index + 2], read, generator=random)
             if timed is not None:
                 timed(time.thread_time() - start)
         return belief.mean()
@@ -74,15 +75,3 @@ def _episode(
     poses = torch.cat((torch.zeros(1, 3).double(), track))
     noise = torch.randn(poses.shape, generator=split(0, "bench/readings"), dtype=torch.float64)
     return path, poses + poses.new_tensor(_NOISE) * noise
-
-
-@case("reading-contact", slow=True)
-def reading_contact(setup: Setup) -> Case:
-    """Readings while the tool pushes the object."""
-    return _reading(setup, "in contact", 0.01)
-
-
-@case("reading-free", slow=True)
-def reading_free(setup: Setup) -> Case:
-    """Readings while the tool is out of the object's reach."""
-    return _reading(setup, "free", 1.0)

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from kmppi import MPPI, MPPISettings, rollout_objective
-from rumi.bench.case import Case, Setup, Variant, case
+from rumi.bench.case import Case, Setup, Variant, cases
 from rumi.seeding import split
 
 _SCALE = 2.0
@@ -32,7 +32,9 @@ def sampling_settings(samples: int, horizon: int, knots: int, temperature: float
     )
 
 
-def _sampling(setup: Setup, samples: int, horizon: int, knots: int, dimensions: int) -> Case:
+@cases({"kmppi-paper": (500, 15, 8, 3), "kmppi-toy": (500, 20, 5, 2)})
+def sampling(setup: Setup, samples: int, horizon: int, knots: int, dimensions: int) -> Case:
+    """KMPPI of the paper's size, and of that of the peer's own example."""
     settings = sampling_settings(setup.size(samples, 20), horizon, knots, 0.01)
     random = split(0, "bench/sampling")
     mppi = MPPI(settings, dimensions, device=setup.device)
@@ -53,15 +55,3 @@ def _sampling(setup: Setup, samples: int, horizon: int, knots: int, dimensions: 
         variants,
         otherwise="torch, step by step",
     )
-
-
-@case("kmppi-paper")
-def kmppi_paper(setup: Setup) -> Case:
-    """The paper's size."""
-    return _sampling(setup, 500, 15, 8, 3)
-
-
-@case("kmppi-toy")
-def kmppi_toy(setup: Setup) -> Case:
-    """The size of the peer's own example."""
-    return _sampling(setup, 500, 20, 5, 2)
