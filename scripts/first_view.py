@@ -15,6 +15,7 @@ import torch
 import tyro
 from torch import Tensor
 
+from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.errors import UsageError
 from rumi.registration.descent import DescentSettings, descend
@@ -38,7 +39,6 @@ class Options:
     tasks: tuple[str, ...] = ("mug-0", "mug-1", "mug-2")
     seeds: int = 20
     figure: Path | None = None
-    cache: Path = Path.home() / ".cache" / "rumi"
 
 
 def sweep(discrepancy: Discrepancy, memory: Observation, centre: Tensor, count: int = 360) -> Tensor:
@@ -93,7 +93,7 @@ def main(options: Options) -> list[Judged]:
         raise UsageError(f"Expected --seeds of 1 or more, got {options.seeds}")
     drawn, worst = [], []
     for name in options.tasks:
-        parts = build(preset("default", task=name), cache_dir=options.cache)
+        parts = build(preset("default", task=name), cache_dir=cache_folder())
         task, rummager = parts.task, parts.agent
         reading = task.reset(0).reading
         none = Observation.empty()

@@ -11,13 +11,13 @@ until the tool touches less than a tenth of the information.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 import tyro
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
@@ -34,11 +34,10 @@ from sdf.object_model import ObjectModel
 
 @dataclass(frozen=True)
 class Options:
-    """Which tasks, and where the arm's table of reach is kept."""
+    """Which tasks."""
 
     tasks: tuple[str, ...] = tuple(SCENES)
     seed: int = 0
-    cache: Path = Path.home() / ".cache" / "rumi"
 
 
 def touchable(tool: Tool, workspace: Workspace, step_m: float = 0.01, yaws: int = 72) -> Bool[Tensor, "V"]:
@@ -116,7 +115,7 @@ def main(options: Options) -> None:
     print("|---|---|---|---|---|---|")
     for name in options.tasks:
         settings = preset("default", task=name)
-        parts = build(settings, cache_dir=options.cache)
+        parts = build(settings, cache_dir=cache_folder())
         rummager = parts.agent
         first = parts.task.reset(options.seed)
         belief, _ = first_belief(rummager, first.reading, generator=split(options.seed, "initialise"))

@@ -320,7 +320,7 @@ def mean_of(lines: Sequence[Line], name: str, of: str) -> float:
     return sum(line[name][of] for line in lines) / len(lines)
 
 
-def table(options: Options, lines: Sequence[Line]) -> str:
+def table(lines: Sequence[Line]) -> str:
     """Markdown: cost and time by method, and by how much a network's plan is cheaper at equal and at twice the time."""
     heads = ("from", "beliefs", "planner", "cost", "ms", "cheaper at equal time by", "p", "at twice the time", "p")
     rows = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
@@ -383,7 +383,7 @@ def main(options: Options) -> None:
     judge_all(options, network, store)
     run_all(options, network, store)
     lines = [line for line in store.flat() if about(options).items() <= line.items()]
-    print(table(options, lines), runs_table(lines), sep="\n\n")
+    print(table(lines), runs_table(lines), sep="\n\n")
     options.figures.mkdir(parents=True, exist_ok=True)
     draw(lines, options.figures / "plan_proposals.png")
 

@@ -200,7 +200,7 @@ class PoseFilter(nn.Module):
         belief = replace(belief, evidence=gather(self.further, belief.evidence, reading, frames))
         before = belief
         belief, moved = self.predict(belief, motion[..., -1, :, :], generator=generator)
-        belief = self.weigh(belief, before, memory, added, moved)
+        belief = self.weigh(belief, before, memory, added)
         trigger_belief = belief if settings.weigh_before_resampling else replace(belief, log_weights=before.log_weights)
         belief, resampled = self.resample(belief, trigger_belief, memory, generator=generator)
         return belief, memory, FilterInfo(moved, resampled, added)
@@ -267,9 +267,7 @@ class PoseFilter(nn.Module):
         upright = belief.world_T_attached[..., 2, 2]
         return (upright < math.cos(self.settings.level_within_rad)) & (self.prior is not None)
 
-    def weigh(
-        self, belief: PoseBelief, before: PoseBelief, memory: Observation, added: Observation, moved: Bool[Tensor, "*b"]
-    ) -> PoseBelief:
+    def weigh(self, belief: PoseBelief, before: PoseBelief, memory: Observation, added: Observation) -> PoseBelief:
         """Weights by the discrepancy (Alg 2), of which only the new points' part is computed where it adds up.
 
         Where no particle moved in the attached frame and no point is fixed in the world, the discrepancy of the

@@ -155,5 +155,5 @@ def test_the_page_has_the_recorded_tables() -> None:
     root = Path(__file__).resolve().parents[2] / "scripts"
     lines = example.Store(root / "results" / "plan_proposals.jsonl").flat()
     page = (root / "docs" / "how-to" / "learning.md").read_text()
-    for text in (example.table(example.Options(), lines), example.runs_table(lines)):
+    for text in (example.table(lines), example.runs_table(lines)):
         assert text in page, text

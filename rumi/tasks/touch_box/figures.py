@@ -47,8 +47,8 @@ def draw_run(run: TouchRun, task: TouchTask, threshold: float, folder: Path) -> 
         panel(last, run.end.belief, task, limits, "grasp: " + ("lifted" if run.lifted else "not lifted"))
         draw_box(last, run.end.truth, task, color=style.TRUTH, linewidth=1.2)
         draw_grasp(last, run.end.grasp.pose, task)
-        _axes(axes, rows, columns, limits, len(shown) + 2)
-        figure.legend(*_legend(task), loc="outside lower center", ncols=4)
+        _axes(axes, columns, limits, len(shown) + 2)
+        figure.legend(*_legend(), loc="outside lower center", ncols=4)
         style.save(figure, paths[0])
     with style.figure(4.2, 2.6) as figure:
         ax = figure.subplots()
@@ -76,7 +76,7 @@ def panel(
     ax.set(xlim=limits[:2], ylim=limits[2:])
 
 
-def _axes(axes: "list[Axes]", rows: int, columns: int, limits: tuple[float, float, float, float], count: int) -> None:
+def _axes(axes: "list[Axes]", columns: int, limits: tuple[float, float, float, float], count: int) -> None:
     """Metres at the outer panels alone, and a bar of a decimetre in the first one."""
     for index, ax in enumerate(axes[:count]):
         left, below = index % columns == 0, index + columns >= count
@@ -88,7 +88,7 @@ def _axes(axes: "list[Axes]", rows: int, columns: int, limits: tuple[float, floa
     axes[0].annotate("100 mm", (x + 0.05, y), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=7)
 
 
-def _legend(task: TouchTask) -> tuple[list[Any], list[str]]:
+def _legend() -> tuple[list[Any], list[str]]:
     """What is drawn in which way."""
     from matplotlib.lines import Line2D
 
