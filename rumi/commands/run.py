@@ -21,7 +21,7 @@ from rumi.commands.recordings import keep
 from rumi.commands.tasks import listing
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
-from rumi.garbage import give_back, set_aside
+from rumi.garbage import give_back
 from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_empty_on_error
 from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
@@ -94,8 +94,7 @@ def run(arguments: Sequence[str]) -> int:
     if options.figures and not interrupted:
         say("drawing figures")
         give_back()  # what the run is done with makes room
-        with set_aside():
-            entry.draw(load_run(folder), folder / "figures")
+        entry.draw(load_run(folder), folder / "figures")
         keep(folder)
     first, *lines = entry.summary(settings, result)
     sys.stdout.write("\n  ".join([f"{name}: {first}", *lines, f"folder   {folder}"]) + "\n")

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rumi.garbage import give_back
 from rumi.records import StepRecord
 from rumi.runs.files import whole_file
 from rumi.runs.scene_geometry import SceneGeometry
@@ -52,6 +53,7 @@ def animate(
         for step in (shown_steps[-1], *shown_steps):
             for ax in (scene, curve):
                 ax.clear()
+            give_back()  # what the frame before was drawn with, circles of references too
             so_far = steps[: step + 1]
             title.set_text(heading + (ending if step == shown_steps[-1] else ""))
             scene_from_above(so_far, geometry, scene, information=information_at(steps, step), extent=extent)

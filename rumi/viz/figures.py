@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rumi.errors import UsageError
+from rumi.garbage import set_aside
 from rumi.runs.folder import Run
 from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
@@ -23,6 +24,7 @@ _TO_SEE = (
 )
 
 
+@set_aside()  # each figure is followed by a collection
 def make_figures(run: Run, out: Path | str, steps: Sequence[int] | None = None) -> list[Path]:
     """Draw a run: curves, the scene at some steps, an overview of both, and an animation.
 

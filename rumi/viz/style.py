@@ -81,6 +81,7 @@ def save(figure: "Figure", path: Path, **options: Any) -> Path:  # noqa: ANN401 
     Raises:
         UsageError: it cannot be written.
     """
+    give_back()  # what laying it out left, before its pixels come on top
     with whole_file(path) as aside:
         figure.savefig(aside, metadata={"Software": "rumi"} if path.suffix == ".png" else None, **options)
     return path
