@@ -108,13 +108,33 @@ def put(typingctx, array, index, value):
 
 
 @intrinsic
-def _whole(typingctx, x):
+def whole(typingctx, x):
     """A number not below 0 without its fraction, 32 bits."""
 
     def generate(context, builder, signature, arguments):
         return builder.fptosi(arguments[0], ir.IntType(32))
 
     return types.int32(x), generate
+
+
+@intrinsic
+def bits(typingctx, x):
+    """The bits of a float as a whole number of as many: in the same order, of floats that are not below 0."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
+
+    return (types.int64 if x == types.float64 else types.int32)(x), generate
+
+
+@intrinsic
+def from_bits(typingctx, number, like):
+    """The float of the kind of `like` that has these bits."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.bitcast(arguments[0], context.get_value_type(signature.return_type))
+
+    return like(number, like), generate
 
 
 @intrinsic
@@ -222,7 +242,7 @@ def _sign(x):
 @block
 def _low(cell, top):
     """Lower node of a lattice coordinate."""
-    return _whole(cell if cell < top else top)
+    return whole(cell if cell < top else top)
 
 
 @block
@@ -301,7 +321,7 @@ def between(place, top, table, row):
     kind = type(place)
     place = place if place > kind(0.0) else kind(0.0)
     place = place if place < top else top
-    low = _whole(place)
+    low = whole(place)
     index = next_to(low, row)
     value_low = at(table, index)
     return value_low + (place - kind(low)) * (at(table, next_to(index, numba.int32(1))) - value_low)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from sdf.compiled import bare
-from sdf.grid_numba import at, put
+from sdf.grid_numba import at, bits, from_bits, next_to, node, put, whole
 
 
 @bare
@@ -36,20 +36,6 @@ def _value(grid, channel, x, y, z):
 
 
 @bare
-def _bound(bound, x, y, z):
-    """What the bound holds at the node next to lattice coordinates; 0 outside. A single node holds everywhere."""
-    if bound.ndim == 3:
-        if bound.size == 1:
-            return bound[0, 0, 0]
-        i, j, k = math.floor(x + 0.5), math.floor(y + 0.5), math.floor(z + 0.5)
-        inside = 0 <= i < bound.shape[0] and 0 <= j < bound.shape[1] and 0 <= k < bound.shape[2]
-        return bound[i, j, k] if inside else 0.0
-    i = 0 if bound.shape[0] == 1 else math.floor(x + 0.5)
-    j = 0 if bound.shape[1] == 1 else math.floor(y + 0.5)
-    return bound[i, j] if 0 <= i < bound.shape[0] and 0 <= j < bound.shape[1] else 0.0
-
-
-@bare
 def touch(
     x,
     y,
@@ -65,7 +51,7 @@ def touch(
     flat,
     origin,
     bound,
-    bound_origin,
+    bound_numbers,
     centres,
     sizes,
     ahead,
@@ -74,72 +60,81 @@ def touch(
     """Greatest contact probability of the tool's points if it is above `level`, and the first point that has it.
 
     Discs, in space balls, are looked into in the order of what they may hold, until none left can hold as much as was
-    found.
+    found. Probabilities are not below 0, and so as great as their bits, whose maximum can be taken many at a time.
     """
     width, depth, height, scale, tie = int(sizes[0]), int(sizes[1]), int(sizes[2]), sizes[3], sizes[4]
     kind, across, one = flat.dtype.type, np.int32(height), np.int32(1)
     slab = np.int32(depth * height)
     none, last_x, last_y, last_z = kind(0.0), kind(width - 1.001), kind(depth - 1.001), kind(height - 1.001)
-    possible = False
-    for d in range(len(centres)):
-        cx = (x + cos * centres[d, 0] - sin * centres[d, 1] - bound_origin[0]) * scale
-        cy = (y + sin * centres[d, 0] + cos * centres[d, 1] - bound_origin[1]) * scale
-        cz = 0.0 if pz is None else (z + centres[d, 2] - bound_origin[2]) * scale
-        ahead[d] = _bound(bound, cx, cy, cz)
-        possible |= ahead[d] > level
-    if not possible:
+    turn_x, turn_y, rise, discs = kind(cos * scale), kind(sin * scale), kind(scale), len(ahead)
+    # what may be met about a centre is at the node next to it; its table is padded as the field is
+    shift_x, shift_y = kind((x - bound_numbers[0]) * scale + 0.5), kind((y - bound_numbers[1]) * scale + 0.5)
+    shift_z = kind(0.0) if pz is None else kind((z - bound_numbers[2]) * scale + 0.5)
+    end_x, end_y, end_z = kind(bound_numbers[3]), kind(bound_numbers[4]), kind(bound_numbers[5])
+    bound_slab, bound_across = np.int32(bound_numbers[6]), np.int32(bound_numbers[7])
+    greatest = bits(none)
+    for d in range(discs):
+        u = shift_x + turn_x * at(centres, d) - turn_y * at(centres, discs + d)
+        v = shift_y + turn_y * at(centres, d) + turn_x * at(centres, discs + d)
+        w = shift_z + rise * at(centres, 2 * discs + d)
+        u, v, w = u if u > none else none, v if v > none else none, w if w > none else none
+        u, v, w = u if u < end_x else end_x, v if v < end_y else end_y, w if w < end_z else end_z
+        found = at(bound, node(whole(u), whole(v), whole(w), bound_slab, bound_across))
+        put(ahead, d, found)
+        greatest = greatest if greatest > bits(found) else bits(found)
+    if not from_bits(greatest, none) > level:
         return 0.0, -1, False
     # the field is padded by two nodes of zeros on each side, on which all that lies outside lands
     place_x, place_y = kind((x - origin[0]) * scale + 2.0), kind((y - origin[1]) * scale + 2.0)
-    turn_x, turn_y = kind(cos * scale), kind(sin * scale)
     if pz is not None:
-        place_z, rise = kind((z - origin[2]) * scale + 2.0), kind(scale)
+        place_z = kind((z - origin[2]) * scale + 2.0)
     most = none
     while True:
         disc, highest = -1, max(most, level) - tie
-        for d in range(len(centres)):
+        for d in range(discs):
             if ahead[d] >= highest:
                 disc, highest = d, ahead[d]
         if disc < 0:
             break
-        ahead[disc] = -2.0
-        first, last = starts[disc], starts[disc + 1]
+        first, last, greatest = starts[disc], starts[disc + 1], bits(none)
         for n in range(first, last):
             u = place_x + turn_x * at(px, n) - turn_y * at(py, n)
             v = place_y + turn_y * at(px, n) + turn_x * at(py, n)
             u, v = u if u > none else none, v if v > none else none
             u, v = u if u < last_x else last_x, v if v < last_y else last_y
-            i, j = np.int32(u), np.int32(v)
+            i, j = whole(u), whole(v)
             a, b = u - kind(i), v - kind(j)
             if pz is None:
-                near = i * slab + j
-                far = near + slab
+                near = node(i, j, np.int32(0), slab, one)
+                far = next_to(near, slab)
                 low, high = at(flat, near), at(flat, far)
-                low += b * (at(flat, near + one) - low)
-                high += b * (at(flat, far + one) - high)
+                low += b * (at(flat, next_to(near, one)) - low)
+                high += b * (at(flat, next_to(far, one)) - high)
             else:
                 w = place_z + rise * at(pz, n)
                 w = w if w > none else none
                 w = w if w < last_z else last_z
-                k = np.int32(w)
+                k = whole(w)
                 c = w - kind(k)
-                near = i * slab + j * across + k
-                low = at(flat, near) + c * (at(flat, near + one) - at(flat, near))
-                side = near + across
-                high = at(flat, side) + c * (at(flat, side + one) - at(flat, side))
+                near = node(i, j, k, slab, across)
+                low = at(flat, near) + c * (at(flat, next_to(near, one)) - at(flat, near))
+                side = next_to(near, across)
+                high = at(flat, side) + c * (at(flat, next_to(side, one)) - at(flat, side))
                 low += b * (high - low)
-                near += slab
-                first_far = at(flat, near) + c * (at(flat, near + one) - at(flat, near))
-                side = near + across
-                high = at(flat, side) + c * (at(flat, side + one) - at(flat, side))
+                near = next_to(near, slab)
+                first_far = at(flat, near) + c * (at(flat, next_to(near, one)) - at(flat, near))
+                side = next_to(near, across)
+                high = at(flat, side) + c * (at(flat, next_to(side, one)) - at(flat, side))
                 high = first_far + b * (high - first_far)
-            put(likely, n, low + a * (high - low))
-        for n in range(first, last):
-            most = max(most, likely[n])
+            found = low + a * (high - low)
+            put(likely, n, found)
+            greatest = greatest if greatest > bits(found) else bits(found)
+        own = from_bits(greatest, none)
+        most, ahead[disc] = max(most, own), -one - own  # below what is left
     best, first = -1, len(px)
     if level < most:
-        for d in range(len(centres)):
-            if ahead[d] == -2.0:
+        for d in range(discs):
+            if -one - ahead[d] + 2.0 * tie >= most:  # the disc holds one of the greatest
                 for n in range(starts[d], starts[d + 1]):
                     if likely[n] >= most - tie and order[n] < first:
                         best, first = n, order[n]

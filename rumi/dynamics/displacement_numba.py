@@ -28,7 +28,7 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
     # arrays in tuples are counted in and out wherever they are taken out: once here
     px, py, starts, order = body
     flat, origin, normal = fields
-    bound, bound_origin, centres = discs
+    bound, bound_numbers, centres = discs
     tables, base, bounds, limits = arm
     states, moved, contact, duplicate_of, checks = out
     every_state, every_flag, every_group, every_ahead, every_likely = scratch
@@ -113,7 +113,7 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
                     flat,
                     origin,
                     bound,
-                    bound_origin,
+                    bound_numbers,
                     centres,
                     sizes,
                     ahead,
@@ -225,7 +225,13 @@ class CompiledRollouts:
         self._body = (along, across, *_arrays(cover.starts, cover.order))
         self._heights = up if self._spatial else None
         self._fields = _arrays(padded.flatten(), probability.origin, values[1])
-        self._discs = _arrays(values[2], bound.origin, cover.centres)
+        # nodes of zeros about the bound, on which all that lies outside lands; a single node holds everywhere
+        wide = [int(size > 1) for size in values[2].shape]
+        around = torch.nn.functional.pad(values[2], [side for width in reversed(wide) for side in (width, width)])
+        nodes, wide = (*around.shape, 1)[:3], (*wide, 0)[:3]
+        first = [float(begin) - width * probability.spacing for begin, width in zip(bound.origin, wide, strict=True)]
+        numbers = np.array((*first, *(size - 1 for size in nodes), nodes[1] * nodes[2], nodes[2]))
+        self._discs = (*_arrays(around.flatten()), numbers, *_arrays(cover.centres.mT.flatten().to(around)))
         (self._action,) = _arrays(model.tool.scale)
         self._arm = model.tool.arm_arrays()
         self._sizes = np.array((*padded.shape, *(1,) * (3 - axes), 1.0 / probability.spacing, tie))
@@ -264,7 +270,7 @@ class CompiledRollouts:
             np.zeros((samples, rollouts, 12)),
             np.zeros((samples, 2, rollouts), np.bool_),
             np.zeros((samples, rollouts), np.int64),
-            np.empty((samples, len(self._discs[2]))),
+            np.empty((samples, len(self._discs[2]) // 3), self._fields[0].dtype),
             np.empty((samples, len(self._body[0])), self._fields[0].dtype),
         )
 

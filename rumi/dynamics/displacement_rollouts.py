@@ -46,7 +46,7 @@ class DisplacementSettings(Checked):
     mini_steps: Count = 4
     push_angle: Annotated[float, Interval(gt=0.0, le=math.pi)] = math.radians(45.0)
     hazard: Hazard = "per_rollout"
-    discs: CountOr0 = 8
+    discs: CountOr0 = 16
     guarded: bool = False
 
 
