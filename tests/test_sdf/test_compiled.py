@@ -90,7 +90,7 @@ def test_a_function_of_kernels_refuses_python_which_may_have_it_interpreted():
         tool_numba.residual(0.0, 0.0, 0.0, 0.0, np.zeros((2, 2)), np.zeros(3), np.zeros(6))
     residual = compiled.interpreted(tool_numba.residual)
     table, far = np.zeros((3, 5)), math.hypot(0.3, 0.4) - 0.2
-    found = residual(0.3, 0.4, 0.0, 0.0, table, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.1, math.pi])
+    found = residual(0.3, 0.4, 0.0, 0.0, table, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.1, math.pi])
     assert found == pytest.approx(far)
 
 
