@@ -231,6 +231,7 @@ def rigid_motions(
     start: Float[Tensor, "E 3"],
     track: Float[Tensor, "E T 3"],
     pivot: Float[Tensor, "*#E 2"],
+    rows: Int[Tensor, "R"] | None = None,
 ) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
     """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones.
 
@@ -240,9 +241,11 @@ def rigid_motions(
         start: poses.
         track: poses at T instants.
         pivot: the point at the start, of all objects or of each.
+        rows: objects that may have moved, if that is known; the others have not.
     """
     shift, turn = track.new_zeros(track.shape), track.new_zeros(track.shape[:-1])
-    rows = (track != start[:, None]).flatten(1).any(-1).nonzero()[:, 0]
+    if rows is None:
+        rows = (track != start[:, None]).flatten(1).any(-1).nonzero()[:, 0]
     about = pivot.expand(len(start), 2)[rows][:, None]
     start, track = start[rows][:, None], track[rows]
     x, y, yaw = start.unbind(-1)

@@ -48,8 +48,6 @@ def _gathered(
     radius,
     configurations,
     displacements,
-    turns,
-    pivots,
     discount,
     result,
     part,
@@ -68,12 +66,6 @@ def _gathered(
                 z, yaw = 0.0, configurations[r, h, 2]
             else:
                 z, yaw = configurations[r, h, 2], configurations[r, h, 3]
-            if turns.size and turns[r, h] != 0.0:
-                # the field turns with the object: look from where it has not moved
-                pivot, turn = pivots[r if len(pivots) > 1 else 0], turns[r, h]
-                cos, sin, arm_x, arm_y = math.cos(turn), math.sin(turn), x - pivot[0], y - pivot[1]
-                x, y = cos * arm_x + sin * arm_y + pivot[0], cos * arm_y - sin * arm_x + pivot[1]
-                yaw -= turn
             again = x == last_x and y == last_y and z == last_z and yaw == last_yaw
             last_x, last_y, last_z, last_yaw = x, y, z, yaw
             if not again:

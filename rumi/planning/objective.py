@@ -98,8 +98,8 @@ class TrajectoryCost:
         """Cost of single paths."""
         total = paths.configurations.new_zeros(len(paths.configurations))
         if self.information is not None:
-            ridden = paths if self.displaced_information else Paths(*paths.object_fixed())
-            total += self.information_scale * self.information(*ridden)
+            seen, moved = paths.in_object_frame() if self.displaced_information else paths.object_fixed()
+            total += self.information_scale * self.information(seen, moved)
         if self.reachability is not None:
             with skipped_work.work("reachability_sums", alike=False) as work:
                 moved = paths.displacements
@@ -158,8 +158,7 @@ def cost_of_scenes(
 ) -> Float[Tensor, "B K"]:
     """Costs of a batch of scenes, each by its own cost alone, so that a row is what the scene gives, to the bit.
 
-    An object that never turns, beside one that may, is taken to turn by 0, which rounds otherwise. One after the other:
-    sums of reach and cells of information are a scene's own, and take their time there.
+    One after the other: tables of reach and cells of information are a scene's own, and take their time there.
 
     Args:
         costs: of each scene, such as a `TrajectoryCost`.

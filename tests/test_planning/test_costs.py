@@ -11,7 +11,7 @@ from rumi.dynamics.base import Paths, PushRollouts
 from rumi.fields.workspace import Workspace
 from rumi.planning.costs import InformationCost, information_cost
 from rumi.planning.objective import TrajectoryCost, gathered_by_action, pushed_way, without
-from rumi.planning.reach_cost import CrossCorrelation, ReachabilityCost, turned_information
+from rumi.planning.reach_cost import CrossCorrelation, ReachabilityCost, Turned
 from sdf import backend, se3
 from sdf.voxel_grid import VoxelGrid
 
@@ -392,42 +392,20 @@ def test_reachability_of_turned_layers_is_that_of_each(generator: torch.Generato
     assert float(expected.min()) < -0.01
 
 
-@pytest.mark.parametrize(("dtype", "close"), [(torch.float32, 1e-6), (torch.float64, 1e-12)])
-def test_turned_reach_is_the_look_up_in_transformed_tables(
-    dtype: torch.dtype, close: float, generator: torch.Generator
-) -> None:
-    """Within the lattice and beyond it, whole turns and none, whole shifts and none, asked for at once and again."""
-    information, reachability = (
-        VoxelGrid(field.values.to(dtype), field.origin.to(dtype), field.spacing)
-        for field in (sparse_field((9, 7, 3), generator), sparse_field((9, 7, 3), generator, 0.8))
-    )
-    moved = 0.2 * torch.randn(40, 5, 3, generator=generator, dtype=dtype)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_versions_of_turned_shares_agree_to_the_bit(dtype: torch.dtype, generator: torch.Generator) -> None:
+    """Within the tables and beyond them, whole turns and none; where there is no turn the share stays as it was."""
+    stack = torch.rand(7, 9, 6, generator=generator, dtype=dtype)
+    moved = torch.randn(40, 5, 3, generator=generator, dtype=dtype)
     turns = torch.where(moved[..., 2] > 0, 5.0 * torch.randn(40, 5, generator=generator, dtype=dtype), 0.0)
-    turns[0, :3] = torch.tensor([2.0, -1.0, 7.0], dtype=dtype) * 2.0 * torch.pi / 24
-    moved[1] = torch.tensor([0.08, -0.12, 0.0], dtype=dtype)
-    moved[2, :, :2], moved[3:5], moved[5, 2:] = 0.0, 50.0, moved[5, 1]
-    pivot = torch.tensor([0.02, 0.03], dtype=dtype)
-    cost = ReachabilityCost(information, reachability)
-    angles = [number * cost.turn_step for number in range(cost.steps)]
-    tables = cost.turned_tables(torch.stack([turned_information(cost, angle, pivot) for angle in angles]))
-    origin = torch.tensor([-8 * 0.04, -6 * 0.04, 0.0], dtype=dtype)
-    shares = torch.stack(
-        [
-            VoxelGrid(table[..., None], origin, 0.04).interpolate(moved.reshape(-1, 3), outside=0.0).view(40, 5)
-            for table in tables
-        ]
-    )
-    place = turns / cost.turn_step
-    low = place.floor()
-    ends = [shares.gather(0, ((low + up).long() % cost.steps)[None])[0] for up in (0, 1)]
-    expected = -(ends[0] + (place - low) * (ends[1] - ends[0]))
-    assert float(expected.min()) < -0.1
-    alone = torch.stack([cost(row[:, None], turn[:, None], pivot) for row, turn in zip(moved, turns, strict=True)])
-    torch.testing.assert_close(alone, expected, atol=close, rtol=0)
-    together = cost(moved.reshape(-1, 1, 3), turns.reshape(-1, 1), pivot).view(40, 5)
-    other = ReachabilityCost(information, reachability)(moved.reshape(-1, 1, 3), turns.reshape(-1, 1), pivot)
-    assert torch.equal(together, other.view(40, 5))
-    assert torch.equal(together, alone)
+    turns[0, :3] = torch.tensor([2.0, -1.0, 7.0]) * 2.0 * torch.pi / 7
+    tables = Turned(stack, torch.tensor([-0.8, -0.5, 0.0], dtype=dtype), 0.2)
+    found, plain = torch.full((40, 5), 0.5, dtype=dtype), torch.full((40, 5), 0.5, dtype=dtype)
+    backend.dispatch("turned_shares", found)(found, moved, turns, tables)
+    with backend.force("torch"):
+        backend.dispatch("turned_shares", plain)(plain, moved, turns, tables)
+    assert torch.equal(found, plain)
+    assert torch.equal(found == 0.5, turns == 0)
 
 
 def test_turned_reach_has_its_slope_along_information(generator: torch.Generator) -> None:
