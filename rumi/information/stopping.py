@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple
 
 import torch
-from annotated_types import Interval
+from annotated_types import Ge, Interval
 from jaxtyping import Float
 from torch import Tensor
 
@@ -246,7 +246,7 @@ class StopSettings(Checked, refusal=UsageError):
     contacts: int = 1
     apc_ratio: float = 0.03
     probability: ShareAbove0 = 0.95
-    most_nll: float | None = None
+    most_nll: Annotated[float, Ge(0.0)] | None = None
     least_chance: Share = 0.01
 
 

@@ -1,5 +1,6 @@
 """Runs without a sensor of the object's motion, by trajectories: what is refused, and when they stop."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -80,3 +81,9 @@ def test_a_run_stops_where_it_is_probably_right_and_has_touched():
         assert [short.part for short in shortfalls(asked, evidence)] == ([] if sure else ["nll"])
     with pytest.raises(UsageError, match="probability"):
         StopSettings(probability=0.0)
+
+
+@pytest.mark.parametrize("most", [-3.0, math.nan])
+def test_an_expected_nll_that_no_belief_has_is_refused(most):
+    with pytest.raises(UsageError, match="most_nll to be 0 or more"):
+        StopSettings(most_nll=most)
