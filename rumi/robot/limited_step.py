@@ -60,10 +60,14 @@ def limited_way(
     way = q[..., None, :].lerp(reached[..., None, :], share.expand(*q.shape[:-1], LEGS, q.shape[-1]))
     if reach is None or residual is None:
         return way
-    shape = (-1, q.shape[-1])
-    legs, _ = _legs(bounds, reach, q.reshape(shape), wanted.reshape(shape), residual.reshape(-1))
     refused = reach.residual(reached) > _limit(reach, residual)
-    return torch.where(refused[..., None, None], legs.movedim(0, -2).reshape(way.shape), way)
+    if not is_eager():
+        shape = (-1, q.shape[-1])
+        legs, _ = _legs(bounds, reach, q.reshape(shape), wanted.reshape(shape), residual.reshape(-1))
+        return torch.where(refused[..., None, None], legs.movedim(0, -2).reshape(way.shape), way)
+    legs, _ = _legs(bounds, reach, q[refused], wanted[refused], residual[refused])
+    way[refused] = legs.movedim(0, -2)
+    return way
 
 
 def _limit(reach: Reach, residual: Tensor) -> Tensor:
