@@ -303,7 +303,7 @@ def test_a_drawn_scenes_camera_stands_where_the_seed_has_it_and_is_known(arm_too
     eyes = []
     for seed in (3, 4, 3):
         result = task.reset(seed)
-        eyes.append(torch.tensor(task._camera().position) - torch.tensor(task.spec.camera.position))
+        eyes.append(torch.tensor(task._camera.place.position) - torch.tensor(task.spec.camera.position))
         seen = result.reading.observation.points[result.reading.observation.of_class(Semantics.SURFACE)]
         assert float(mug.exact.distance(se3.apply(se3.inverse(result.truth), seen)).abs().max()) < 0.001
     assert torch.equal(eyes[0], eyes[2]) and not torch.equal(eyes[0], eyes[1])

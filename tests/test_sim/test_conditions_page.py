@@ -8,7 +8,7 @@ from rumi.sim.conditions import MEMBERS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "scripts" / "docs" / "reference" / "conditions.md"
-_TASK = ("simulated", "depth_camera", "sensed", "free_region")
+_TASK = ("simulated", "robots", "point_camera", "depth_camera", "sensed", "free_region")
 SENSING = (
     *sorted((ROOT / "rumi" / "sim").glob("*.py")),
     *(ROOT / "rumi" / "tasks" / "rummage" / f"{name}.py" for name in _TASK),

@@ -137,7 +137,7 @@ def test_motion_is_the_worlds(task):
 def test_free_points_are_sparse_and_near(task):
     """One a cell of the lattice in the object's frame, within the stated region."""
     first = task.reset(0)
-    low, high = task._region
+    low, high = task._camera.region
     attached = se3.identity()
     for _ in range(3):
         result = task.step(AHEAD)

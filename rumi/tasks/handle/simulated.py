@@ -130,7 +130,7 @@ class HandleTask(SensedTask):
     def _view(self) -> Observation:
         if "camera" in self.fused.sensors:
             return super()._view()
-        self._region = region_of_prior(self.spec, self.model)
+        self._camera.region = region_of_prior(self.spec, self.model)
         return Observation.empty()
 
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> ContactReading:
@@ -222,7 +222,9 @@ class HandleTask(SensedTask):
         attached_T_world = se3.inverse(measured @ self._attached)
         self._attached = measured[-1] @ self._attached
         spacing = self.settings.free_spacing_m
-        inner = swept_points(tool_pose, self._inner, spacing, attached_T_world=attached_T_world, region=self._region)[0]
+        inner = swept_points(
+            tool_pose, self._inner, spacing, attached_T_world=attached_T_world, region=self._camera.region
+        )[0]
         points, instants = [inner.points], [inner.instant]
         if bool(silent.any()):
             which = silent.nonzero()[:, 0]
@@ -231,7 +233,7 @@ class HandleTask(SensedTask):
                 self._body,
                 spacing,
                 attached_T_world=attached_T_world[which],
-                region=self._region,
+                region=self._camera.region,
             )[0]
             points.append(skin.points)
             instants.append(which[skin.instant])

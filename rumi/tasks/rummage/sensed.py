@@ -109,16 +109,14 @@ class SensedTask(SimTask):
         seen = self._looked()
         surface = seen.points[seen.of_class(Semantics.SURFACE)]
         if self._steps == 0:
-            self._region = (
-                region_about(surface, self.spec, self.settings)
-                if len(surface)
-                else region_unseen(self.spec, self.model)
-            )
-            self.raw.about(self._region)
+            spec, settings = self.spec, self.settings
+            region = region_about(surface, spec, settings) if len(surface) else region_unseen(spec, self.model)
+            self._camera.region = region
+            self.raw.about(region)
         return seen
 
     def _looked(self) -> Observation:
-        camera = self._camera()
+        camera = self._camera.place
         assert camera is not None
         intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad)
         pose = look_at(torch.tensor(camera.position).double(), torch.tensor(camera.target).double())
@@ -135,7 +133,7 @@ class SensedTask(SimTask):
             index += 1
             noise = math.hypot(self.sensors.depth_noise_m, self.spec.depth_noise_m)
             image = _seen(depth, noise, self._generator).float()
-            image = holed(image, self.settings.view, self._view_faults.generator)
+            image = holed(image, self.settings.view, self._camera.faults.generator)
             lost = self._lost()
             self.raw.frame(index, None if lost else image, color, tool_pose)
             if lost:

@@ -15,33 +15,28 @@ from rumi.errors import UsageError
 from rumi.robot.gripper import gripper_links, gripper_of
 from rumi.robot.tool import Tool
 from rumi.seeding import split
-from rumi.sim.arm_world import ArmWorld
 from rumi.sim.bodies import Body, body_of
 from rumi.sim.error_settings import BuildSpread
 from rumi.sim.fault import Fault, Hand
-from rumi.sim.force_sensing_world import ForceSensingWorld
 from rumi.sim.guarded_move import GuardedMove
 from rumi.sim.object_build import Build
 from rumi.sim.pad_faults import PadFaults
 from rumi.sim.robot_arm import RobotArm
-from rumi.sim.sensors import measure
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.tool_offset import ToolOffset
-from rumi.sim.view_faults import ViewFaults, taken_pose
+from rumi.sim.view_faults import ViewFaults
 from rumi.sim.world import Guard, Track, World
-from rumi.sim.wrist_force import wrist_force
 from rumi.task import StepResult
-from rumi.tasks.rummage.depth_camera import depth_image, moved, without_robot
-from rumi.tasks.rummage.free_region import floor_points, region_about, region_of_prior, region_unseen
-from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
+from rumi.tasks.rummage.point_camera import PointCamera
+from rumi.tasks.rummage.robots import make_world, measurements
+from rumi.tasks.rummage.scenes import TaskSpec
 from rumi.tasks.rummage.true_contact import outside, touching
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
-from sensors.reading import FORCE, TORQUE_CONTACT, Reading
+from sensors.reading import Reading
 from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
-from sensors.vision.camera import depth_observation, look_at, pinhole
 from sensors.vision.robot_body import RobotBody
 
 
@@ -97,10 +92,9 @@ class SimTask:
         self._links = RobotBody(gripper_links(shape))
         deep = torch.stack([link.distance(self._body) for link in self._links.links]).amin(0) < -settings.contact_m
         self._inner = self._body[deep]
-        self._draw_errors(0)
         self._generator = torch.Generator()
+        self._draw_errors(0)
         self._further_noise = split(0, "further sensors")
-        self._region = torch.zeros(2, 3)
         self._attached = se3.identity()
         self._steps: int | None = None
         self._views: list[Observation] = []
@@ -119,8 +113,7 @@ class SimTask:
             self.world = self._built(seed)
         self.world.seed(seed)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
-        self._attached, self._steps = se3.identity(), 0
-        self._views = []
+        self._attached, self._steps, self._views = se3.identity(), 0, []
         observation = self._looked_at()
         configuration = self._configuration()
         still = se3.identity((1,)) if self._measures else None
@@ -136,15 +129,7 @@ class SimTask:
         return StepResult(reading, self.world.world_T_object().float())
 
     def _world(self, body: Body, physics: PhysicsSettings) -> World:
-        """The scene with the robot of the settings."""
-        spec, settings = self.spec, self.settings
-        height = None if spec.spatial else spec.height_m
-        if self._arm is None:
-            kind = ForceSensingWorld if settings.sensors.wrist_force else World
-            return kind(body, self.shape, height, settings.time_step_s, physics)
-        if settings.sensors.wrist_force:
-            raise UsageError("Expected --robot gripper with a wrist's force sensor, which the arm does not carry")
-        return ArmWorld(body, self.shape, height, settings.time_step_s, physics, arm=self._arm)
+        return make_world(self.spec, self.settings, self.shape, self._arm, body, physics)
 
     def _draw_errors(self, seed: int) -> None:
         """Draw what is wrong with the robot of a run, each from a stream of its own."""
@@ -152,7 +137,8 @@ class SimTask:
         self._offset = ToolOffset.drawn(own.tool_off_m, own.tool_off_rad, spatial=self.spec.spatial, seed=seed)
         self._pad_faults = PadFaults(own.pads, self._pads, seed)
         self._pad_draws = self._pad_faults.drawn(0)
-        self._view_faults = ViewFaults.drawn(own.view, own.sensors, seed)
+        faults = ViewFaults.drawn(own.view, own.sensors, seed)
+        self._camera = PointCamera(self.spec, own, self.model, self._links, faults, self._generator)
 
     def _built(self, seed: int) -> World:
         """The world with the object as the seed has it."""
@@ -205,18 +191,13 @@ class SimTask:
             guard = Guard(GuardedMove(self.settings.guard_m, lambda index: self._feels(index, path)), late_s)
         track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s, guard)
         reading = self._sense(before, track, refused + track.refused_m)
-        for fault in self.faults:
-            if fault.step <= self._steps:
-                reading = fault.felt(reading, self._hand(), self._steps)
+        for fault in self._begun_faults():
+            reading = fault.felt(reading, self._hand(), self._steps)
         sensors = self.settings.sensors
         if sensors.further or sensors.wrist_force or self._arm is not None:
             where = reading.tool_pose if self._offset.none else self._true_pose(track)
-            measured = measure(sensors.further, self.world, track, where, self._further_noise)
-            if isinstance(self.world, ForceSensingWorld) and self.world.trace is not None:
-                measured[FORCE] = wrist_force(self.world.trace, sensors.wrist_noise_n, self._further_noise)
-            if isinstance(self.world, ArmWorld):
-                measured[TORQUE_CONTACT] = self.world.signals.float()[:, None]
-            reading = replace(reading, measurements=measured)
+            found = measurements(self.world, sensors, track, where, self._further_noise)
+            reading = replace(reading, measurements=found)
         if self._looks_again:
             reading = self._seen_again(reading)
         return StepResult(reading, track.world_T_object[-1].float())
@@ -239,11 +220,13 @@ class SimTask:
     def _looked_at(self) -> Observation:
         """What the camera reports now."""
         view = self._view()
-        for fault in self.faults:
-            if fault.step <= (self._steps or 0):
-                view = fault.seen(view, self._views)
+        for fault in self._begun_faults():
+            view = fault.seen(view, self._views)
         self._views.append(view)
         return view
+
+    def _begun_faults(self) -> list[Fault]:
+        return [fault for fault in self.faults if fault.step <= (self._steps or 0)]
 
     def _hand(self) -> Hand:
         pose = self.tool.pose(self.world.configuration().float()[None])[0]
@@ -251,51 +234,12 @@ class SimTask:
 
     def _view(self) -> Observation:
         """What the camera sees now: surface points of the object and free points about it."""
-        camera = self._camera()
-        if camera is None:
-            self._region = region_of_prior(self.spec, self.model)
-            return Observation.empty() if self.spec.search == "SE(2)" else floor_points(self._region, self.spec)
-        intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad)
-        world_T_camera = look_at(torch.tensor(camera.position), torch.tensor(camera.target))
-        sensors = self.settings.sensors
-        if sensors.calibration_m or sensors.calibration_rad:
-            true = world_T_camera.double()
-            world_T_camera = taken_pose(true, self._view_faults.off, sensors, camera.target).float()
-        depth, is_object = self.depth_image()
-        if self.settings.view.mask_px:
-            tool = self.tool.pose(self._configuration()[None])
-            is_object = without_robot(is_object, depth, intrinsics, world_T_camera, self._links, tool)
-        surface = depth_observation(depth, intrinsics, world_T_camera, is_object).points
-        if len(surface) == 0:
-            if self._steps == 0:
-                self._region = region_unseen(self.spec, self.model)
-            return Observation.empty()
-        self._region = region_about(surface, self.spec, self.settings)
-        return depth_observation(
-            depth,
-            intrinsics,
-            world_T_camera,
-            is_object,
-            bounds=self._region,
-            free_spacing=self.settings.free_spacing_m,
-            free_margin_m=self.settings.free_margin_m,
-            free_fraction=self.settings.free_fraction,
-        )
-
-    def _camera(self) -> CameraSpec | None:
-        """The camera where it stands in this run, which is known."""
-        return None if self.spec.camera is None else moved(self.spec.camera, self._view_faults)
+        tool = self.tool.pose(self._configuration()[None])
+        return self._camera.view(self.world, tool, first=self._steps == 0)
 
     def depth_image(self) -> tuple[Float[Tensor, "H W"], Bool[Tensor, "H W"]]:
-        """Depth and the object's mask, as `rumi.tasks.rummage.depth_camera.depth_image` has them, of what is there now.
-
-        Raises:
-            UsageError: the task has no camera.
-        """
-        camera = self._camera()
-        if camera is None:
-            raise UsageError(f"Expected a task with a camera, got {self.spec.name}")
-        return depth_image(self.world, camera, self._view_faults, self.spec.depth_noise_m, self._generator)
+        """Depth and the object's mask of what is there now; see `PointCamera.depth_image`."""
+        return self._camera.depth_image(self.world)
 
     def finish(self, action: Any) -> Any:  # noqa: ANN401  (a subclass's own)
         """Nothing is done at the end."""
@@ -384,24 +328,18 @@ class SimTask:
     ) -> tuple[InstantPoints, Int[Tensor, "M"]]:
         """What the gripper's points went through, and which of them; takes note of a measured motion."""
         attached_T_world, group = None, None
-        region = self._region
+        region = self._camera.region
         if measured is None:
             # nothing moves while nothing is touched; what was swept while touching belongs to its instant alone
             group = in_contact.long().cumsum(0)
             low, high = self.spec.bounds
-            top = float(self._region[1, 2])
+            top = float(region[1, 2])
             region = torch.tensor(((*low, 0.0), (*high, top)))
         else:
             attached_T_world = se3.inverse(measured @ self._attached)
             self._attached = measured[-1] @ self._attached
-        return swept_points(
-            tool_pose,
-            body,
-            self.settings.free_spacing_m,
-            attached_T_world=attached_T_world,
-            group=group,
-            region=region,
-        )
+        spacing = self.settings.free_spacing_m
+        return swept_points(tool_pose, body, spacing, attached_T_world=attached_T_world, group=group, region=region)
 
     def _touched(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K n"]:
         return touching(self._true, object_T_tool, self._pads, self.settings.contact_m)
@@ -414,7 +352,6 @@ class SimTask:
         now = self.world.now()
         object_T_tool = (se3.inverse(now.world_T_object) @ self._true_pose(now).double()).float()
         felt = bool(self._pad_faults.felt(self._touched(object_T_tool), self._pad_draws.at(index)).any())
-        for fault in self.faults:
-            if fault.step <= (self._steps or 0):
-                felt = fault.touched(felt, self._hand())
+        for fault in self._begun_faults():
+            felt = fault.touched(felt, self._hand())
         return path[index] if self.spec.spatial else now.configuration[0], felt
