@@ -54,16 +54,16 @@ def _log_old(reading, trail, last, lags, variance, old):
 
 
 @bare
-def _push(before, tool, centre, lever, friction, quartic, path, points, table, shape, sizes, counts, along, way, pose):
+def _push(before, tool, slides, path, contact, along, way, pose):
     """Poses after a path of the tool, by each particle's place of it."""
     for n in range(len(pose)):
         for k in range(len(path)):
             for axis in range(3):
                 way[0, k, axis] = path[k, axis] + tool[n, axis]
         x, y, yaw = before[n, 0], before[n, 1], before[n, 2]
-        body = sliding_at(n, centre, lever, friction, quartic)
+        body = sliding_at(n, slides)
         for instant in range(len(path) - 1):  # of a way that may have room for more
-            x, y, yaw = advanced(x, y, yaw, way, 0, instant, points, table, shape, sizes, counts, body, along)
+            x, y, yaw = advanced(x, y, yaw, way, 0, instant, contact, body, along)
         pose[n, 0], pose[n, 1], pose[n, 2] = x, y, yaw
 
 
@@ -107,50 +107,18 @@ def _gather(ratios, log_sum, log_moment, number, log_shares, new_sum, new_moment
     return total
 
 
-def _take_reading(
-    before,
-    tool,
-    log_weights,
-    centre,
-    lever,
-    friction,
-    quartic,
-    path,
-    reading,
-    last,
-    trail,
-    log_sum,
-    log_moment,
-    normal,
-    chance,
-    points,
-    table,
-    shape,
-    sizes,
-    counts,
-    noise,
-    others,
-    old_variance,
-    lags,
-    log_shares,
-    numbers,
-    pose,
-    after,
-    new_trail,
-    new_sum,
-    new_moment,
-    ratios,
-    sums,
-    part,
-):
+def _take_reading(held, path, reading, last, evidence, drawn, contact, densities, numbers, found, part):
+    before, tool, log_weights, slides, trail = held
+    log_sum, log_moment = evidence
+    normal, chance = drawn
+    noise, others, old_variance, lags, log_shares = densities
+    pose, after, new_trail, new_sum, new_moment, ratios, sums = found
     for _ in indices(part, 1):
-        along, way = np.empty(len(points)), np.empty((1, len(path), 3))
+        along, way = np.empty(len(contact[0])), np.empty((1, len(path), 3))
         terms, shares, lost = np.empty((1 + len(others), len(pose))), np.empty((2, len(pose))), np.empty(2)
         by_other, old = np.empty(len(others)), np.empty(len(old_variance))
-        measure(points, shape, along)
-        _push(
-            before, tool, centre, lever, friction, quartic, path, points, table, shape, sizes, counts, along, way, pose
-        )
+        measure(contact, along)
+        _push(before, tool, slides, path, contact, along, way, pose)
         _log_old(reading, trail, last, lags, old_variance, old)
         repeated = numbers[5] + old[len(lags)]
         # weights and poses given the reading; `pose` is where particles are pushed, see `update_by_reading`
@@ -203,51 +171,15 @@ def _take_reading(
 take_reading = Kernel(_take_reading)
 
 
-def _move(
-    before,
-    tool,
-    log_weights,
-    centre,
-    lever,
-    friction,
-    quartic,
-    trail,
-    path,
-    ends,
-    normal,
-    points,
-    table,
-    shape,
-    sizes,
-    counts,
-    numbers,
-    pose,
-    new_trail,
-    part,
-):
+def _move(held, path, ends, normal, contact, numbers, pose, new_trail, part):
+    before, tool, log_weights, slides, trail = held
     for _ in indices(part, 1):
-        along, way = np.empty(len(points)), np.empty((1, len(path), 3))
+        along, way = np.empty(len(contact[0])), np.empty((1, len(path), 3))
         start, last = before.copy(), trail.copy()
-        measure(points, shape, along)
+        measure(contact, along)
         for motion in range(len(normal)):
             own = path[ends[motion] : ends[motion + 1]]
-            _push(
-                start,
-                tool,
-                centre,
-                lever,
-                friction,
-                quartic,
-                own,
-                points,
-                table,
-                shape,
-                sizes,
-                counts,
-                along,
-                way,
-                pose,
-            )
+            _push(start, tool, slides, own, contact, along, way, pose)
             for n in range(len(pose)):
                 metres, turn = _variance(n, start, pose, numbers)
                 for axis in range(3):

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from rumi.belief.change_test import MOST, ChangeEvidence, ChangeTest
 from rumi.belief.pose_reading import MotionNoise, PoseReading, pose_difference, reading_draws, update_by_reading
-from rumi.dynamics.along_path import outline_table, push_along_path
+from rumi.dynamics.along_path import contact_arrays, push_along_path
 from rumi.dynamics.outline import GridOutline, RectangleOutline
 from rumi.dynamics.pushed_body import PushedBody
 from rumi.dynamics.sliding import Sliding
@@ -23,7 +23,6 @@ Fault = Literal["knocked", "late", "stuck", "none of these"]
 """The object was moved by something else; the tracker's pose is old; it repeats one number; nothing known fits."""
 
 _PASSES = 2  # contacts that are settled in a motion, at most
-_OF_PUSH = 5  # arrays of `ReadingModel.arrays` that tell of pushes
 
 
 class PushedPoseBelief(NamedTuple):
@@ -93,25 +92,14 @@ class ReadingModel:
     test: ChangeTest
 
     @cached_property
-    def arrays(self) -> tuple[Any, ...] | None:
-        """The same as the compiled version takes it, in double precision; None where it has no such outline."""
+    def arrays(self) -> tuple[tuple[Any, ...], tuple[Any, ...]] | None:
+        """Pushes and densities as compiled versions take them, in double precision; None without such an outline."""
         pusher, outline = self.body.pusher, self.body.outline
         if not isinstance(outline, GridOutline | RectangleOutline):
             return None
-        table, shape = outline_table(outline, self.noise)
-        points, values = (np.ascontiguousarray(part.double().numpy()) for part in (pusher.points, table))
-        sizes = np.array((pusher.thickness, pusher.radius + outline.radius))
+        contact = contact_arrays(pusher, outline, (1, _PASSES), torch.float64)
         noises = tuple(part.numpy() for part in (self.noise, self.others, self.old))
-        return (
-            points,
-            values,
-            np.array(shape),
-            sizes,
-            np.array((1, _PASSES)),
-            *noises,
-            np.array(self.lags),
-            self.test.log_weights.numpy(),
-        )
+        return contact, (*noises, np.array(self.lags), self.test.log_weights.numpy())
 
 
 class ReadingTaken(NamedTuple):
@@ -205,16 +193,18 @@ def _take_reading_numba(
 
     if model.arrays is None:
         return _take_reading(model, belief, path, reading, outlier, generator)
-    normal, chance = reading_draws(len(belief.pose), generator)
-    evidence, slides = belief.evidence, belief.sliding
-    held: tuple[Any, ...] = (belief.pose, belief.tool, belief.log_weights, *slides, path, reading, belief.reading)
-    before = [part.numpy() for part in (*held, belief.trail, evidence.log_sum, evidence.log_moment, normal, chance)]
+    contact, densities = model.arrays
+    drawn = tuple(part.numpy() for part in reading_draws(len(belief.pose), generator))
+    evidence = belief.evidence
+    before = evidence.log_sum.numpy(), evidence.log_moment.numpy()
     pose, after, trail = (np.empty(part.shape) for part in (belief.pose, belief.log_weights, belief.trail))
     log_sum, log_moment, ratios = np.empty((3, len(evidence.log_sum)))
     sums, number = np.empty(5), int(evidence.readings) + 1
     logs = (math.log1p(-outlier - model.repeats), math.log(0.5 * outlier), math.log(model.repeats))
     numbers = np.array((*model.motion, *logs, number, MOST))
-    kernel(*before, *model.arrays, numbers, pose, after, trail, log_sum, log_moment, ratios, sums)
+    given = (part.numpy() for part in (path, reading, belief.reading))
+    found = pose, after, trail, log_sum, log_moment, ratios, sums
+    kernel(_held(belief), *given, before, drawn, contact, densities, numbers, found)
     _, told, untold, effective, nats = sums.tolist()
     if math.isnan(nats):
         model.test.update(evidence, torch.from_numpy(ratios))  # which says what is wrong
@@ -264,12 +254,16 @@ def _moved_numba(
     if model.arrays is None:
         return _moved(model, belief, paths, normal)
     ends = np.cumsum([0, *(len(path) for path in paths)])
-    held: tuple[Any, ...] = (belief.pose, belief.tool, belief.log_weights, *belief.sliding, belief.trail)
-    before = [part.numpy() for part in (*held, torch.cat(list(paths)))]
     pose, trail = np.empty(belief.pose.shape), np.empty(belief.trail.shape)
     numbers, drawn = np.array(model.motion), torch.stack(normal).numpy()
-    kernel(*before, ends, drawn, *model.arrays[:_OF_PUSH], numbers, pose, trail)
+    kernel(_held(belief), torch.cat(list(paths)).numpy(), ends, drawn, model.arrays[0], numbers, pose, trail)
     return torch.from_numpy(pose), torch.from_numpy(trail)
+
+
+def _held(belief: PushedPoseBelief) -> tuple[Any, ...]:
+    """A belief as the compiled versions take it: poses, tools, weights, how each slides, and the trail."""
+    slides = tuple(part.numpy() for part in belief.sliding if part is not None)
+    return belief.pose.numpy(), belief.tool.numpy(), belief.log_weights.numpy(), slides, belief.trail.numpy()
 
 
 def followed(belief: PushedPoseBelief, mean: Float[Tensor, "3"] | None = None) -> PushedPoseBelief:

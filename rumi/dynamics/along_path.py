@@ -1,7 +1,7 @@
 """Quasi-static pushing along tool paths: poses of objects after each instant, and the tool's distance from them."""
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -267,18 +267,27 @@ def _push_along_path_numba(
         return _push_along_path(poses, path, pusher, outline, sliding, substeps, passes, distances)
     count, instants = len(poses), path.shape[1] - 1
     track, distance = poses.new_empty(count, instants, 3), poses.new_empty(count, instants if distances else 0)
-    table, shape = outline_table(outline, poses)
     quartic = poses.new_zeros(count, 5) if sliding.quartic is None else sliding.quartic
-    slides = (sliding.centre, sliding.lever, sliding.friction, quartic)
-    kernel(
-        *(part.detach().contiguous().numpy() for part in (poses, path, pusher.points, table, *slides)),
-        np.array(shape),
-        np.array((pusher.thickness, pusher.radius + outline.radius)),
-        np.array((substeps, passes)),
-        track.numpy(),
-        distance.numpy(),
-    )
+    slides = tuple(part.detach().contiguous().numpy() for part in (*sliding[:3], quartic))
+    contact = contact_arrays(pusher, outline, (substeps, passes))
+    given = (part.detach().contiguous().numpy() for part in (poses, path))
+    kernel(*given, contact, slides, track.numpy(), distance.numpy())
     return PathOutcome(track, distance)
+
+
+def contact_arrays(
+    pusher: Pusher, outline: GridOutline | RectangleOutline, counts: tuple[int, ...], dtype: torch.dtype | None = None
+) -> tuple[Any, ...]:
+    """Tool and outline as the compiled versions take them: the tool's points, the outline's table and shape, sizes.
+
+    And counts: parts of a way, contacts that are settled in a part, and what else a kernel counts. Without a type,
+    points and table keep theirs.
+    """
+    table, shape = outline_table(outline, pusher.points)
+    parts = (pusher.points, table)
+    points, values = (part.detach().to(dtype or part.dtype).contiguous().numpy() for part in parts)
+    sizes = np.array((pusher.thickness, pusher.radius + outline.radius))
+    return points, values, np.array(shape), sizes, np.array(counts)
 
 
 def outline_table(

@@ -1,4 +1,8 @@
-"""The compiled CPU version of pushes along a path; `along_path.py` has the definition."""
+"""The compiled CPU version of pushes along a path; `along_path.py` has the definition.
+
+What a tool and an object are to each other comes as `along_path.contact_arrays` gives it, here `contact`, and how
+objects slide as `slides`: their centres, levers, frictions and quartics.
+"""
 
 import math
 
@@ -42,8 +46,9 @@ def gradient(x, y, table, shape):
 
 
 @bare
-def measure(points, shape, along):
+def measure(contact, along):
     """By how much the outline's values may differ from the tool's first point to each other one, along its border."""
+    points, shape = contact[0], contact[2]
     total = 0.0
     for k in range(len(points)):
         if k > 0:
@@ -53,12 +58,13 @@ def measure(points, shape, along):
 
 
 @bare
-def nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape, below, along):
+def nearest(x, y, yaw, tool_x, tool_y, tool_yaw, contact, below, along):
     """The tool's first point that is nearest to the object, its distance, and its place in the object's frame.
 
     Points are passed over that are farther than the nearest one so far: values outside the object change no more
     than `along` does (`measure`). Where none is nearer than `below`, that is the distance.
     """
+    points, table, shape = contact[0], contact[1], contact[2]
     cos, sin = math.cos(yaw), math.sin(yaw)
     tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
     least, best, at_x, at_y = below, 0, 0.0, 0.0
@@ -78,8 +84,9 @@ def nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape, below, al
 
 
 @bare
-def sliding_at(e, centre, lever, friction, quartic):
+def sliding_at(e, slides):
     """How one object slides, as `settled` takes it."""
+    centre, lever, friction, quartic = slides
     return (
         float(centre[e, 0]),
         float(centre[e, 1]),
@@ -94,8 +101,9 @@ def sliding_at(e, centre, lever, friction, quartic):
 
 
 @bare
-def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body, along):
+def advanced(x, y, yaw, path, row, instant, contact, body, along):
     """Pose of an object after the tool's way from one instant to the next."""
+    points, table, shape, sizes, counts = contact
     thickness, reach, substeps, passes = sizes[0], sizes[1], counts[0], counts[1]
     from_x, from_y, from_yaw = (
         float(path[row, instant, 0]),
@@ -113,7 +121,7 @@ def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts,
         tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
         first = (x, y, yaw)
         for _ in range(passes):
-            apart, k, at_x, at_y = nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape, thickness, along)
+            apart, k, at_x, at_y = nearest(x, y, yaw, tool_x, tool_y, tool_yaw, contact, thickness, along)
             depth = thickness - apart
             if not depth > 0.0:
                 break
@@ -140,56 +148,27 @@ def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts,
 
 
 @bare
-def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, along, track, distance):
+def _one(e, poses, path, contact, slides, along, track, distance):
     x, y, yaw = float(poses[e, 0]), float(poses[e, 1]), float(poses[e, 2])
     row = e if len(path) > 1 else 0
-    body = sliding_at(e, centre, lever, friction, quartic)
+    body = sliding_at(e, slides)
     for instant in range(path.shape[1] - 1):
-        x, y, yaw = advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body, along)
+        x, y, yaw = advanced(x, y, yaw, path, row, instant, contact, body, along)
         track[e, instant, 0], track[e, instant, 1], track[e, instant, 2] = x, y, yaw
         if distance.shape[1] == 0:
             continue
         end = instant + 1
-        apart, _, _, _ = nearest(
-            x,
-            y,
-            yaw,
-            float(path[row, end, 0]),
-            float(path[row, end, 1]),
-            float(path[row, end, 2]),
-            points,
-            table,
-            shape,
-            math.inf,
-            along,
-        )
-        distance[e, instant] = apart - sizes[0]
+        tool_x, tool_y, tool_yaw = float(path[row, end, 0]), float(path[row, end, 1]), float(path[row, end, 2])
+        apart, _, _, _ = nearest(x, y, yaw, tool_x, tool_y, tool_yaw, contact, math.inf, along)
+        distance[e, instant] = apart - contact[3][0]
 
 
-def _push_along_path(
-    poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, track, distance, part
-):
-    along = np.empty(len(points))
-    measure(points, shape, along)
+def _push_along_path(poses, path, contact, slides, track, distance, part):
+    along = np.empty(len(contact[0]))
+    measure(contact, along)
     for e in indices(part, len(poses)):
         # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
-        _one(
-            np.int64(e),
-            poses,
-            path,
-            points,
-            table,
-            centre,
-            lever,
-            friction,
-            quartic,
-            shape,
-            sizes,
-            counts,
-            along,
-            track,
-            distance,
-        )
+        _one(np.int64(e), poses, path, contact, slides, along, track, distance)
 
 
 push_along_path = Kernel(_push_along_path)

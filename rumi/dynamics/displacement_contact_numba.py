@@ -36,47 +36,30 @@ def _value(grid, channel, x, y, z):
 
 
 @bare
-def touch(
-    x,
-    y,
-    z,
-    cos,
-    sin,
-    level,
-    px,
-    py,
-    pz,
-    starts,
-    order,
-    flat,
-    origin,
-    bound,
-    bound_numbers,
-    centres,
-    sizes,
-    ahead,
-    likely,
-):
+def touch(x, y, z, cos, sin, level, body, pz, fields, discs, sizes, ahead, likely):
     """Greatest contact probability of the tool's points if it is above `level`, and the first point that has it.
 
     Discs, in space balls, are looked into in the order of what they may hold, until none left can hold as much as was
     found. Probabilities are not below 0, and so as great as their bits, whose maximum can be taken many at a time.
     """
+    px, py, starts, order = body
+    flat, origin, _ = fields
+    bound, bound_numbers, centres = discs
     width, depth, height, scale, tie = int(sizes[0]), int(sizes[1]), int(sizes[2]), sizes[3], sizes[4]
     kind, across, one = flat.dtype.type, np.int32(height), np.int32(1)
     slab = np.int32(depth * height)
     none, last_x, last_y, last_z = kind(0.0), kind(width - 1.001), kind(depth - 1.001), kind(height - 1.001)
-    turn_x, turn_y, rise, discs = kind(cos * scale), kind(sin * scale), kind(scale), len(ahead)
+    turn_x, turn_y, rise, count = kind(cos * scale), kind(sin * scale), kind(scale), len(ahead)
     # what may be met about a centre is at the node next to it; its table is padded as the field is
     shift_x, shift_y = kind((x - bound_numbers[0]) * scale + 0.5), kind((y - bound_numbers[1]) * scale + 0.5)
     shift_z = kind(0.0) if pz is None else kind((z - bound_numbers[2]) * scale + 0.5)
     end_x, end_y, end_z = kind(bound_numbers[3]), kind(bound_numbers[4]), kind(bound_numbers[5])
     bound_slab, bound_across = np.int32(bound_numbers[6]), np.int32(bound_numbers[7])
     greatest = bits(none)
-    for d in range(discs):
-        u = shift_x + turn_x * at(centres, d) - turn_y * at(centres, discs + d)
-        v = shift_y + turn_y * at(centres, d) + turn_x * at(centres, discs + d)
-        w = shift_z + rise * at(centres, 2 * discs + d)
+    for d in range(count):
+        u = shift_x + turn_x * at(centres, d) - turn_y * at(centres, count + d)
+        v = shift_y + turn_y * at(centres, d) + turn_x * at(centres, count + d)
+        w = shift_z + rise * at(centres, 2 * count + d)
         u, v, w = u if u > none else none, v if v > none else none, w if w > none else none
         u, v, w = u if u < end_x else end_x, v if v < end_y else end_y, w if w < end_z else end_z
         found = at(bound, node(whole(u), whole(v), whole(w), bound_slab, bound_across))
@@ -91,7 +74,7 @@ def touch(
     most = none
     while True:
         disc, highest = -1, max(most, level) - tie
-        for d in range(discs):
+        for d in range(count):
             if ahead[d] >= highest:
                 disc, highest = d, ahead[d]
         if disc < 0:
@@ -133,7 +116,7 @@ def touch(
         most, ahead[disc] = max(most, own), -one - own  # below what is left
     best, first = -1, len(px)
     if level < most:
-        for d in range(discs):
+        for d in range(count):
             if -one - ahead[d] + 2.0 * tie >= most:  # the disc holds one of the greatest
                 for n in range(starts[d], starts[d + 1]):
                     if likely[n] >= most - tie and order[n] < first:

@@ -26,10 +26,9 @@ _X, _Y, _Z, _YAW, _WAY_X, _WAY_Y, _WAY_Z, _WAY_YAW, _OFFSET_X, _OFFSET_Y, _COS, 
 def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, sizes, rules, scratch, out):
     """All rollouts of control sequence k."""
     # arrays in tuples are counted in and out wherever they are taken out: once here
-    px, py, starts, order = body
-    flat, origin, normal = fields
-    bound, bound_numbers, centres = discs
-    tables, base, bounds, limits = arm
+    px, py, _, _ = body
+    tables, base, _, limits = arm
+    _, origin, normal = fields
     states, moved, contact, duplicate_of, checks = out
     every_state, every_flag, every_group, every_ahead, every_likely = scratch
     state, strayed, stuck = every_state[k], every_flag[k, 0], every_flag[k, 1]
@@ -55,29 +54,16 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
             uz, uyaw = 0.0, controls[k, h, 2] * action[2]
         else:
             uz, uyaw = controls[k, h, 2] * action[2], controls[k, h, 3] * action[3]
+        to_x, to_y, to_z, to_yaw = free_x + ux, free_y + uy, free_z + uz, free_yaw + uyaw
         free_x, free_y, free_z, free_yaw, left = step_within(
-            free_x,
-            free_y,
-            free_z,
-            free_yaw,
-            free_x + ux,
-            free_y + uy,
-            free_z + uz,
-            free_yaw + uyaw,
-            left,
-            tables,
-            base,
-            bounds,
-            limits,
+            free_x, free_y, free_z, free_yaw, to_x, to_y, to_z, to_yaw, left, arm
         )
         for g in range(groups):
             x, y, z, yaw = state[g, _X], state[g, _Y], state[g, _Z], state[g, _YAW]
             to_x, to_y, to_z, to_yaw = free_x, free_y, free_z, free_yaw
             if strayed[g]:
                 rest = residual(x, y, z, yaw, tables, base, limits)
-                to_x, to_y, to_z, to_yaw, _ = step_within(
-                    x, y, z, yaw, x + ux, y + uy, z + uz, yaw + uyaw, rest, tables, base, bounds, limits
-                )
+                to_x, to_y, to_z, to_yaw, _ = step_within(x, y, z, yaw, x + ux, y + uy, z + uz, yaw + uyaw, rest, arm)
             stuck[g] = False
             state[g, _WAY_X] = (to_x - x) / mini_steps
             state[g, _WAY_Y] = (to_y - y) / mini_steps
@@ -98,27 +84,7 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
                 z, yaw = state[g, _Z] + state[g, _WAY_Z], state[g, _YAW] + state[g, _WAY_YAW]
                 cos, sin = math.cos(yaw), math.sin(yaw)
                 u, v = x - state[g, _OFFSET_X], y - state[g, _OFFSET_Y]
-                most, point, looked = touch(
-                    u,
-                    v,
-                    z,
-                    cos,
-                    sin,
-                    level,
-                    px,
-                    py,
-                    pz,
-                    starts,
-                    order,
-                    flat,
-                    origin,
-                    bound,
-                    bound_numbers,
-                    centres,
-                    sizes,
-                    ahead,
-                    likely,
-                )
+                most, point, looked = touch(u, v, z, cos, sin, level, body, pz, fields, discs, sizes, ahead, likely)
                 checked += looked
                 those = -1  # the group of those that touch
                 if point >= 0:

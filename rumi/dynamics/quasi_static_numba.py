@@ -118,25 +118,14 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
     track, contact, checks = out
     inside, clears, turns = scratch[0][k], scratch[1][k], scratch[2][k]
     actions = path.shape[1] - 1
-    table, base, bounds, limits = arm
-    left = residual(path[k, 0, 0], path[k, 0, 1], 0.0, path[k, 0, 2], table, base, limits)
+    left = residual(path[k, 0, 0], path[k, 0, 1], 0.0, path[k, 0, 2], arm[0], arm[1], arm[3])
     # in double precision from the start: else numba compiles all that they are given to once for each
     free_x, free_y, free_yaw = np.float64(path[k, 0, 0]), np.float64(path[k, 0, 1]), np.float64(path[k, 0, 2])
     for h in range(actions):
-        free_x, free_y, _height, free_yaw, left = step_within(
-            free_x,
-            free_y,
-            0.0,
-            free_yaw,
-            free_x + controls[k, h, 0] * action_scale[0],
-            free_y + controls[k, h, 1] * action_scale[1],
-            0.0,
-            free_yaw + controls[k, h, 2] * action_scale[2],
-            left,
-            table,
-            base,
-            bounds,
-            limits,
+        to_x, to_y = free_x + controls[k, h, 0] * action_scale[0], free_y + controls[k, h, 1] * action_scale[1]
+        to_yaw = free_yaw + controls[k, h, 2] * action_scale[2]
+        free_x, free_y, _, free_yaw, left = step_within(
+            free_x, free_y, 0.0, free_yaw, to_x, to_y, 0.0, to_yaw, left, arm
         )
         path[k, h + 1, 0], path[k, h + 1, 1], path[k, h + 1, 2] = free_x, free_y, free_yaw
     for step in range(len(turns)):
@@ -250,21 +239,8 @@ def _push_rollouts(
 ):
     alike = counts[2]  # control sequences of a scene
     for k in indices(part, len(path)):
-        _sample(
-            k,
-            controls,
-            action_scale,
-            arm,
-            path,
-            poses[k // alike],
-            bodies,
-            body,
-            outline,
-            numbers,
-            counts,
-            scratch,
-            out,
-        )
+        own = poses[k // alike]
+        _sample(k, controls, action_scale, arm, path, own, bodies, body, outline, numbers, counts, scratch, out)
 
 
 push_rollouts = Kernel(_push_rollouts)

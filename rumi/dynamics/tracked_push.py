@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.along_path import Pusher, outline_table, push_along_path
+from rumi.dynamics.along_path import Pusher, contact_arrays, push_along_path
 from rumi.dynamics.outline import GridOutline, RectangleOutline, Support
 from rumi.dynamics.push_registration import as_tracked, put_right
 from rumi.dynamics.pushed_body import PushedBody
@@ -124,14 +124,11 @@ def _tracked_ends_numba(
     if not isinstance(body.outline, GridOutline | RectangleOutline) or sliding.quartic is None:
         return _tracked_ends(start, path, shifts, sliding, body, substeps)
     ends, way = start.new_empty(len(start), len(shifts), 3), start.new_empty(len(start), len(shifts))
-    table, shape = outline_table(body.outline, start)
     slides = (sliding.centre, sliding.lever, sliding.friction, sliding.quartic)
-    points = body.pusher.points
     kernel(
-        *(part.detach().to(start.dtype).contiguous().numpy() for part in (start, path, shifts, points, table, *slides)),
-        np.array(shape),
-        np.array((body.pusher.thickness, body.pusher.radius + body.outline.radius)),
-        np.array((substeps, _PASSES, _APART)),
+        *(part.detach().contiguous().numpy() for part in (start, path.to(start.dtype), shifts.to(start.dtype))),
+        contact_arrays(body.pusher, body.outline, (substeps, _PASSES, _APART), start.dtype),
+        tuple(part.detach().to(start.dtype).contiguous().numpy() for part in slides),
         np.array((*body.support.centre.tolist(), body.support.spread)),
         ends.numpy(),
         way.numpy(),

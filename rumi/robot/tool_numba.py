@@ -1,8 +1,8 @@
 """The compiled CPU version of a step against the arm's reach; `tool.py` has the definition.
 
-What limits a step comes as `Tool.arm_arrays` gives it: four arrays, the last of numbers. As one tuple, its
-arrays would be counted in and out at every call. Tables are over (radius, yaw), in space with heights before these, or
-(`ArmReach`) over (height, x, y, yaw): numba compiles `if table.ndim == 3` away; in a plane heights are handed through.
+What limits a step comes as `Tool.arm_arrays` gives it, here `arm`: four arrays, the last of numbers. Tables are over
+(radius, yaw), in space with heights before these, or (`ArmReach`) over (height, x, y, yaw): numba compiles
+`if table.ndim == 3` away, of an argument alone; in a plane heights are handed through.
 """
 
 import math
@@ -103,8 +103,9 @@ def _residual_about_base(x, y, z, yaw, table, base, limits):
 
 
 @bare
-def _leg(x, y, z, yaw, to_x, to_y, to_z, to_yaw, limit, table, base, bounds, limits):
+def _leg(x, y, z, yaw, to_x, to_y, to_z, to_yaw, limit, arm):
     """Where a leg from (x, y, z, yaw) ends, and the arm's residual there."""
+    table, base, bounds, limits = arm
     rest = residual(to_x, to_y, to_z, to_yaw, table, base, limits)
     if rest <= limit:
         return to_x, to_y, to_z, to_yaw, rest
@@ -137,8 +138,9 @@ def _leg(x, y, z, yaw, to_x, to_y, to_z, to_yaw, limit, table, base, bounds, lim
 
 
 @bare
-def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bounds, limits):
+def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, arm):
     """Where a step from (x, y, z, yaw) ends, and the arm's residual there; `left` is it now."""
+    table, base, bounds, limits = arm
     tolerance, slack, legs = limits[1], limits[2], int(limits[4])
     part_x, part_y, part_z, part_yaw = (to_x - x) / legs, (to_y - y) / legs, (to_z - z) / legs, (to_yaw - yaw) / legs
     to_x, to_y, to_z = _boxed(to_x, to_y, to_z, bounds)
@@ -150,5 +152,5 @@ def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bound
     for _ in range(legs):
         to_x, to_y, to_z = _boxed(x + part_x, y + part_y, z + part_z, bounds)
         limit = max(left, tolerance) + slack
-        x, y, z, yaw, left = _leg(x, y, z, yaw, to_x, to_y, to_z, yaw + part_yaw, limit, table, base, bounds, limits)
+        x, y, z, yaw, left = _leg(x, y, z, yaw, to_x, to_y, to_z, yaw + part_yaw, limit, arm)
     return x, y, z, yaw, left
