@@ -3,17 +3,10 @@
 import json
 import os
 import random
-import runpy
 import socket
 import subprocess
 import sys
-import threading
-import time
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any
+from dataclasses import replace
 
 import pytest
 import torch
@@ -21,74 +14,18 @@ import torch
 pytest.importorskip("msgspec")
 
 from rumi import rummager
-from rumi.belief.particles import PoseBelief
 from rumi.bridge.messages import Sample, decoder
 from rumi.bridge.served import ClientGoneError, thinned
-from rumi.bridge.server import Served, listen, serve
+from rumi.bridge.server import Served, listen
 from rumi.cli import main
 from rumi.commands.serve import ServeOptions, made
 from rumi.fields.workspace import Workspace
-from rumi.robot.gripper import GripperShape
-from rumi.robot.tool import Tool
 from rumi.runs.export import estimates_of
 from rumi.runs.folder import load_run
 from rumi.tasks.registry import entry_of
 from rumi.tasks.rummage.settings import preset
-from sdf import se3
-from sdf.symmetry import Symmetries
+from tests.fixtures.bridge import BOUNDS, SCRIPTS, TOOL, WITHIN, Waver, serving
 from tests.test_scripts.test_own_robot import code_lines
-
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-BOUNDS = torch.tensor([[0.2, -0.3, 0.06], [0.85, 0.3, 0.06]])
-WITHIN = torch.tensor([[0.2, -0.3, 0.0], [0.85, 0.3, 0.3]])
-TOOL = [0.25, 0.0, 0.06, 0.0, 0.0, 0.0, 1.0]
-
-
-@dataclass(frozen=True)
-class State:
-    record: Any
-
-
-@dataclass
-class Waver:
-    """An agent that goes left twice and believes what it believed before."""
-
-    tool: Tool = field(default_factory=lambda: Tool(BOUNDS[:, :2], None, shape=GripperShape(), height_m=0.06))
-    position_tolerance_m, rotation_tolerance_rad = 0.005, 0.1
-    relies_on, warnings = "nothing", ()
-    model = SimpleNamespace(symmetries=Symmetries.none())
-    filter = SimpleNamespace(settings=SimpleNamespace(motion="trajectory"))
-
-    def begin(self, result, *, seed, clock):
-        belief = PoseBelief.uniform(se3.identity((4,), dtype=torch.float32))
-        return State(SimpleNamespace(step=0, belief=belief, converged=False, remarks=(), reading=result))
-
-    def stop(self, state):
-        return "sure" if state.record.step == 2 else None
-
-    def act(self, state):
-        return state, torch.tensor([0.0, 1.0, 0.0])
-
-    def update(self, state, action, result):
-        step = state.record.step + 1
-        return State(SimpleNamespace(**{**vars(state.record), "step": step, "reading": result}))
-
-    def last(self, state):
-        return None
-
-    def result(self, state, stopped_by, outcome):
-        return SimpleNamespace(stopped_by=stopped_by, why_not=None)
-
-
-@contextmanager
-def serving(served, clients):
-    """The port of a server in a thread, which has to end after so many clients."""
-    with listen("127.0.0.1", 0) as listener:
-        thread = threading.Thread(target=serve, args=(served, listener, clients), daemon=True)
-        thread.start()
-        yield listener.getsockname()[1]
-        thread.join(60)
-        assert not thread.is_alive()
 
 
 class Client:
@@ -366,74 +303,6 @@ def test_a_port_that_is_taken_is_named():
 
     with listen("127.0.0.1", 0) as listener, pytest.raises(UsageError, match="give another --port"):
         listen("127.0.0.1", listener.getsockname()[1])
-
-
-class Message(SimpleNamespace):
-    """A message of ROS, as far as the node looks at it."""
-
-    def __init__(self, **parts):
-        super().__init__(**{"header": SimpleNamespace(), **parts})
-
-
-class Node:
-    def __init__(self, name):
-        self.published, self.heard = {}, {}
-
-    def create_publisher(self, kind, topic, depth):
-        self.published[topic] = []
-        return SimpleNamespace(publish=self.published[topic].append)
-
-    def create_subscription(self, kind, topic, call, depth):
-        self.heard[topic] = call
-
-    def get_logger(self):
-        return SimpleNamespace(info=lambda text: self.published.setdefault("log", []).append(json.loads(text)))
-
-
-def test_the_node_against_a_stub_of_ros(monkeypatch):
-    poses = ("Point", "PointStamped", "Pose", "PoseStamped", "PoseWithCovariance", "PoseWithCovarianceStamped")
-    stubs = {
-        "rclpy": {},
-        "rclpy.node": {"Node": Node},
-        "nav_msgs.msg": {"Path": Message},
-        "std_msgs.msg": {"Empty": Message, "Header": SimpleNamespace},
-        "geometry_msgs.msg": dict.fromkeys((*poses, "Quaternion"), Message),
-        "sensor_msgs.msg": {"PointCloud2": Message},
-        "sensor_msgs_py.point_cloud2": {"read_points": lambda cloud, **asked: cloud},
-    }
-    for name, values in stubs.items():
-        for at in range(1, name.count(".") + 2):
-            part = ".".join(name.split(".")[:at])
-            monkeypatch.setitem(sys.modules, part, sys.modules.get(part) or ModuleType(part))
-        vars(sys.modules[name]).update(values)
-    source = (SCRIPTS / "ros_bridge_node.py").read_text()
-    assert len(code_lines(source, imports=True)) <= 60 and "import rumi" not in source
-    node_of = runpy.run_path(str(SCRIPTS / "ros_bridge_node.py"))["Bridge"]
-
-    def wait(topic, count):
-        end = time.monotonic() + 30
-        while len(node.published.get(topic, ())) < count and time.monotonic() < end:
-            time.sleep(0.01)
-        return node.published[topic][count - 1]
-
-    def pose(*numbers):
-        x, y, z, a, b, c, d = numbers
-        return Message(pose=Message(position=Message(x=x, y=y, z=z), orientation=Message(x=a, y=b, z=c, w=d)))
-
-    with serving(Served(Waver(), WITHIN), 1) as port:
-        node = node_of(port=port)
-        node.heard["tool_pose"](pose(*TOOL))
-        node.heard["view"]([(0.5, 0.0, 0.1)])
-        for step in range(2):
-            path = wait("rumi/path", step + 1)
-            assert path.header.frame_id == "world" and len(path.poses) == 20
-            node.heard["contact"](Message(point=Message(x=0.5, y=0.0, z=0.06)))
-            node.heard["tool_pose"](pose(*TOOL))
-            node.heard["done"](Message())
-        found = wait("rumi/pose", 3)
-        assert found.pose.pose.orientation.w == 1 and len(found.pose.covariance) == 36
-        assert wait("log", 2)["type"] == "end"
-        node.socket.shutdown(socket.SHUT_RDWR)
 
 
 def test_options_make_an_agent_in_the_plane():

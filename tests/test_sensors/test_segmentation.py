@@ -7,12 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sensors.vision.segmentation import Plane, cluster_mask, color_mask, fit_plane
+from tests.fixtures.views import seeded
 
 pytest.importorskip("cv2")
-
-
-def seeded(seed=0):
-    return torch.Generator().manual_seed(seed)
 
 
 def painted(*colors):
