@@ -83,7 +83,8 @@ def placed_upright_from(planes, poses, j, x, y):
     )
 
 
-def _distance(rows, points, which, flat, rise, level, numbers, sizes, distance, part):
+def _look_up(rows, points, which, flat, rise, level, numbers, sizes, distance, gradient, part):
+    """Distances, and gradients unless that is None, which numba compiles away."""
     lattice = lattice_of(numbers, sizes)
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
@@ -96,30 +97,18 @@ def _distance(rows, points, which, flat, rise, level, numbers, sizes, distance, 
         for i in range(first, min(first + _STEP, count)):
             x, y, z = at(given, from_x + i), at(given, from_y + i), at(given, from_z + i)
             x_o, y_o, z_o = placed(pose, x, y, z)
-            put(distance, to + i, value(x_o, y_o, z_o, flat, lattice))
+            if gradient is None:
+                put(distance, to + i, value(x_o, y_o, z_o, flat, lattice))
+            else:
+                found, along_x, along_y, along_z = value_and_gradient(x_o, y_o, z_o, flat, lattice)
+                put(distance, to + i, found)
+                put(gradient, 3 * (to + i), along_x)
+                put(gradient, 3 * (to + i) + 1, along_y)
+                put(gradient, 3 * (to + i) + 2, along_z)
 
 
-def _query(rows, points, which, flat, rise, level, numbers, sizes, distance, gradient, part):
-    lattice = lattice_of(numbers, sizes)
-    poses, count = rows.shape[1], points.shape[2]
-    blocks = (count + _STEP - 1) // _STEP
-    given = points.reshape(-1)
-    for task in indices(part, rows.shape[0] * poses * blocks):
-        owner, first = task // blocks, task % blocks * _STEP
-        pose = row(rows, owner // poses, owner % poses)
-        from_x = 3 * count * which[owner // poses]
-        from_y, from_z, to = from_x + count, from_x + 2 * count, owner * count
-        for i in range(first, min(first + _STEP, count)):
-            x, y, z = at(given, from_x + i), at(given, from_y + i), at(given, from_z + i)
-            x_o, y_o, z_o = placed(pose, x, y, z)
-            found, along_x, along_y, along_z = value_and_gradient(x_o, y_o, z_o, flat, lattice)
-            put(distance, to + i, found)
-            put(gradient, 3 * (to + i), along_x)
-            put(gradient, 3 * (to + i) + 1, along_y)
-            put(gradient, 3 * (to + i) + 2, along_z)
-
-
-def _layer_distance(rows, points, which, layer, rise, level, numbers, sizes, distance, part):
+def _look_up_layer(rows, points, which, layer, rise, level, numbers, sizes, distance, gradient, part):
+    """The same where one layer does."""
     lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
@@ -132,31 +121,17 @@ def _layer_distance(rows, points, which, layer, rise, level, numbers, sizes, dis
         for i in range(first, min(first + _STEP, count)):
             x, y = at(given, from_x + i), at(given, from_y + i)
             x_o, y_o = placed_upright(pose, x, y)
-            put(distance, to + i, layer_value(x_o, y_o, layer, lattice, height))
+            if gradient is None:
+                put(distance, to + i, layer_value(x_o, y_o, layer, lattice, height))
+            else:
+                found, along_x, along_y, along_z = layer_value_and_gradient(x_o, y_o, layer, rise, lattice, height)
+                put(distance, to + i, found)
+                put(gradient, 3 * (to + i), along_x)
+                put(gradient, 3 * (to + i) + 1, along_y)
+                put(gradient, 3 * (to + i) + 2, along_z)
 
 
-def _layer_query(rows, points, which, layer, rise, level, numbers, sizes, distance, gradient, part):
-    lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
-    poses, count = rows.shape[1], points.shape[2]
-    blocks = (count + _STEP - 1) // _STEP
-    given = points.reshape(-1)
-    for task in indices(part, rows.shape[0] * poses * blocks):
-        owner, first = task // blocks, task % blocks * _STEP
-        pose = row(rows, owner // poses, owner % poses)
-        from_x, to = 3 * count * which[owner // poses], owner * count
-        from_y = from_x + count
-        for i in range(first, min(first + _STEP, count)):
-            x, y = at(given, from_x + i), at(given, from_y + i)
-            x_o, y_o = placed_upright(pose, x, y)
-            found, along_x, along_y, along_z = layer_value_and_gradient(x_o, y_o, layer, rise, lattice, height)
-            put(distance, to + i, found)
-            put(gradient, 3 * (to + i), along_x)
-            put(gradient, 3 * (to + i) + 1, along_y)
-            put(gradient, 3 * (to + i) + 2, along_z)
-
-
-_DISTANCE, _QUERY = Kernel(_distance, fast=True), Kernel(_query, fast=True)
-_LAYER_DISTANCE, _LAYER_QUERY = Kernel(_layer_distance, fast=True), Kernel(_layer_query, fast=True)
+_LOOK_UP, _LOOK_UP_LAYER = Kernel(_look_up, fast=True), Kernel(_look_up_layer, fast=True)
 
 
 def posed_distance(sdf: GridSDF, world_T_object: Tensor, points_w: Tensor, height: Tensor | None) -> Tensor:
@@ -164,7 +139,7 @@ def posed_distance(sdf: GridSDF, world_T_object: Tensor, points_w: Tensor, heigh
     shape, scene = _scene(world_T_object, points_w)
     upright, table = table_arguments(sdf, height, points_w.dtype)
     result = points_w.new_empty(shape)
-    (_LAYER_DISTANCE if upright else _DISTANCE)(*scene, *table, result.view(-1).numpy())
+    (_LOOK_UP_LAYER if upright else _LOOK_UP)(*scene, *table, result.view(-1).numpy(), None)
     return result
 
 
@@ -173,7 +148,7 @@ def posed_query(sdf: GridSDF, world_T_object: Tensor, points_w: Tensor, height: 
     shape, scene = _scene(world_T_object, points_w)
     upright, table = table_arguments(sdf, height, points_w.dtype)
     value, gradient = points_w.new_empty(shape), points_w.new_empty(*shape, 3)
-    (_LAYER_QUERY if upright else _QUERY)(*scene, *table, value.view(-1).numpy(), gradient.view(-1).numpy())
+    (_LOOK_UP_LAYER if upright else _LOOK_UP)(*scene, *table, value.view(-1).numpy(), gradient.view(-1).numpy())
     return SDFQuery(value, gradient)
 
 

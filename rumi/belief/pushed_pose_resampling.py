@@ -92,10 +92,11 @@ def _resampled_numba(
     from rumi.belief.pushed_pose_resampling_numba import resample as kernel
 
     count = len(belief.pose)
-    before = (belief.log_weights, belief.pose, belief.parameters, belief.tool, normal, moved)
+    held = (belief.log_weights, belief.pose, belief.parameters, belief.tool, normal, moved)
+    before = tuple(part.numpy() for part in held)
     found = [np.empty((count, size)) for size in (3, 8, 3, 2, 5)]
     lever, friction = np.empty((2, count))
-    kernel(*(part.numpy() for part in before), *drift.arrays, np.array((float(offset),)), *found, lever, friction)
+    kernel(before, drift.arrays, np.array((float(offset),)), (*found, lever, friction))
     pose, parameters, tool, centre, quartic = (torch.from_numpy(part) for part in found)
     sliding = Sliding(centre, torch.from_numpy(lever), torch.from_numpy(friction), quartic)
     even = torch.full((count,), -math.log(count), dtype=torch.float64)

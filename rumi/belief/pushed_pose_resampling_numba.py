@@ -27,27 +27,10 @@ def _slides(n, parameters, support, centre, lever, friction, quartic):
     quartic[n, 3], quartic[n, 4] = half * (along / size), half * (across / size)
 
 
-def _resample(
-    log_weights,
-    pose,
-    parameters,
-    tool,
-    normal,
-    moved,
-    mean,
-    deviation,
-    tool_m,
-    numbers,
-    offset,
-    new_pose,
-    new_parameters,
-    new_tool,
-    centre,
-    quartic,
-    lever,
-    friction,
-    part,
-):
+def _resample(before, drift, offset, found, part):
+    log_weights, pose, parameters, tool, normal, moved = before
+    mean, deviation, tool_m, numbers = drift
+    new_pose, new_parameters, new_tool, centre, quartic, lever, friction = found
     count = len(log_weights)
     keep, fresh = numbers[5], numbers[6]
     for _ in indices(part, 1):

@@ -152,23 +152,8 @@ def _divergence(v, log_weights, w, outcome, reverse, settings):
     return mean + log_evidence if reverse else -weighted / total - log_evidence
 
 
-def _field(
-    chosen,
-    points,
-    rows,
-    log_weights,
-    weights,
-    mode,
-    settings,
-    upright,
-    flat,
-    level,
-    numbers,
-    sizes,
-    semantics,
-    information,
-    part,
-):
+def _field(chosen, points, rows, log_weights, weights, mode, settings, upright, table, semantics, information, part):
+    flat, level, numbers, sizes = table
     lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
     count, poses, real = information.shape[1], rows.shape[2], log_weights.shape[1]
     kind = type(settings[0])
@@ -260,8 +245,7 @@ def information_field(sdf, world_T_object, log_weights, points_w, near, mode, nu
         _MODES[mode],
         torch.tensor(settings, dtype=dtype).numpy(),
         upright,
-        flat,
-        *rest,
+        (flat, *rest),
         semantics.view(scenes, count, 3).numpy(),
         information.view(scenes, count).numpy(),
     )

@@ -197,12 +197,9 @@ def _gathered_numba(cost: InformationCost, configurations: Tensor, displacements
     gathered(
         cells.value.contiguous().numpy(),
         None if cells.spatial else cells.layer.contiguous().numpy(),
-        cells.scale.contiguous().numpy(),
-        cells.offset.contiguous().numpy(),
-        along,
-        across,
+        tuple(part.contiguous().numpy() for part in (cells.scale, cells.offset, cells.middle)),
+        (along, across),
         up if cells.spatial else None,  # heights are given by the layers
-        cells.middle.contiguous().numpy(),
         cells.radius + _MARGIN,
         configurations.contiguous().numpy(),
         displacements.contiguous().numpy(),

@@ -36,22 +36,8 @@ def _cells(x, y, z, cos, sin, along, across, up, scale, offset, wide, deep, tall
             put(cell, m, (np.int32(u) * np.int32(deep) + np.int32(v)) * np.int32(tall) + np.int32(w))
 
 
-def _gathered(
-    value,
-    layer,
-    scale,
-    offset,
-    along,
-    across,
-    up,
-    middle,
-    radius,
-    configurations,
-    displacements,
-    discount,
-    result,
-    part,
-):
+def _gathered(value, layer, lattice, points, up, radius, configurations, displacements, discount, result, part):
+    (scale, offset, middle), (along, across) = lattice, points
     rollouts, horizon = configurations.shape[:2]
     wide, deep, tall = value.shape
     worth = value.reshape(-1)
