@@ -24,9 +24,9 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.settings import SimSettings
 from rumi.task import StepResult
+from rumi.tasks.grasp_primitive import GRASP_S
 from rumi.tasks.grasp_table import Grasp, GraspTable
 from rumi.tasks.handle.grasp import best_grasp
-from rumi.tasks.handle.gripper import GRASP_S
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.agent import Rummager, RummageState, first_belief
 from rumi.tasks.rummage.build import build_rummager

@@ -135,7 +135,7 @@ HANDLE = _Handle()
 
 def short_of(settings: HandleSettings) -> str | None:
     """What to say where the time is up before the first look's belief and the grasp are done; None where it is not."""
-    from rumi.tasks.handle.gripper import GRASP_S
+    from rumi.tasks.grasp_primitive import GRASP_S
 
     least_s = (settings.thinking_s or 0.0) + GRASP_S
     if settings.run_budget_s >= least_s:

@@ -17,14 +17,13 @@ from rumi.sim.bodies import Body
 from rumi.sim.scene import object_xml
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import _import_mujoco
-from rumi.tasks.touch_box.mujoco_scene import servo, two_fingers_xml
+from rumi.tasks.grasp_primitive import grasp_controls
+from rumi.tasks.touch_box.mujoco_scene import six_servos, two_fingers_xml
 from sdf import se3
 from sdf.primitives import Mug
 
 _DRIVES = ("x", "y", "z", "yaw", "left", "right")
-_SETTLE_S, _DROP_S, _REST_S, _CLOSE_S, _LIFT_S, _HOLD_S = 0.1, 0.6, 0.1, 0.5, 0.6, 0.2
-GRASP_S = _DROP_S + 2 * _REST_S + _CLOSE_S + _LIFT_S + _HOLD_S
-"""Seconds that the primitive takes."""
+_SETTLE_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -119,21 +118,8 @@ class HandleGripper:
         pose = se3.from_planar(believed.double()) @ self.object_T_grasp
         x, y, yaw = se3.to_planar(pose).tolist()
         opened, high = 0.5 * own.opening_m + own.finger_m, own.clear_m - own.tip_m
-        closed = 0.0  # the handle is in between, and the force is limited
-        knots = np.array(
-            [
-                (0.0, x, y, high, yaw, opened, opened),
-                (_DROP_S, x, y, 0.0, yaw, opened, opened),
-                (_REST_S, x, y, 0.0, yaw, opened, opened),
-                (_CLOSE_S, x, y, 0.0, yaw, closed, closed),
-                (_REST_S, x, y, 0.0, yaw, closed, closed),
-                (_LIFT_S, x, y, own.lift_m, yaw, closed, closed),
-                (_HOLD_S, x, y, own.lift_m, yaw, closed, closed),
-            ]
-        )
-        times = np.cumsum(knots[:, 0])
-        now = np.arange(0, round(times[-1] / own.time_step_s) + 1) * own.time_step_s
-        return np.stack([np.interp(now, times, knots[:, 1 + axis]) for axis in range(6)], -1)
+        # closed to 0: the handle is in between, and the force is limited
+        return grasp_controls((x, y, yaw), (opened, 0.0), (high, own.lift_m), own.time_step_s)
 
 
 def grasp_xml(shape: Mug, body: Body, physics: PhysicsSettings, settings: HandleGrasp) -> str:
@@ -144,17 +130,7 @@ def grasp_xml(shape: Mug, body: Body, physics: PhysicsSettings, settings: Handle
         f'type="capsule" size="{r}" fromto="0 0 {own.tip_m + r} 0 0 {top}" mass="0.05" contype="0" conaffinity="2" '
         f'friction="{own.friction} 0.005 0.0001" solref="0.005 1" solimp="0.95 0.99 0.001"'
     )
-    drives = "".join(
-        servo(name, name, k, inertia, limit)
-        for name, k, inertia, limit in (
-            ("x", own.stiffness, 10.0, 200.0),
-            ("y", own.stiffness, 10.0, 200.0),
-            ("z", 2e4, 10.0, 60.0),
-            ("yaw", 0.01 * own.stiffness, 0.1, 20.0),
-            ("left", 2e4, 0.5, own.grip_n),
-            ("right", 2e4, 0.5, own.grip_n),
-        )
-    )
+    drives = six_servos(own.stiffness, (10.0, 0.1), push_n=200.0, press_n=60.0, grip_n=own.grip_n)
     return f"""
 <mujoco>
   <option timestep="{own.time_step_s}" integrator="implicitfast" cone="elliptic" impratio="100"/>

@@ -221,20 +221,13 @@ class HandleTask(SensedTask):
         """What the rigid gripper went through, with its skin where nothing was touched."""
         attached_T_world = se3.inverse(measured @ self._attached)
         self._attached = measured[-1] @ self._attached
-        spacing = self.settings.free_spacing_m
-        inner = swept_points(
-            tool_pose, self._inner, spacing, attached_T_world=attached_T_world, region=self._camera.region
-        )[0]
+        spacing, region = self.settings.free_spacing_m, self._camera.region
+        inner = swept_points(tool_pose, self._inner, spacing, attached_T_world=attached_T_world, region=region)[0]
         points, instants = [inner.points], [inner.instant]
         if bool(silent.any()):
             which = silent.nonzero()[:, 0]
-            skin = swept_points(
-                tool_pose[which],
-                self._body,
-                spacing,
-                attached_T_world=attached_T_world[which],
-                region=self._camera.region,
-            )[0]
+            poses, back = tool_pose[which], attached_T_world[which]
+            skin = swept_points(poses, self._body, spacing, attached_T_world=back, region=region)[0]
             points.append(skin.points)
             instants.append(which[skin.instant])
         return Observation.of(torch.cat(points), Semantics.FREE), torch.cat(instants)

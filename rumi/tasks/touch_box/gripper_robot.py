@@ -10,6 +10,7 @@ from torch import Tensor
 
 from rumi.seeding import split
 from rumi.sim.world import _import_mujoco
+from rumi.tasks.grasp_primitive import DROP_S, LIFT_S, REST_S, grasp_controls
 from rumi.tasks.touch_box.mujoco_scene import CLEAR_M, GripperPhysics, scene_xml, set_truth
 from rumi.tasks.touch_box.robot import GoOn, Readings, SceneRobot, Touched
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
@@ -17,12 +18,11 @@ from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 TOUCHING_M = 2e-4
 """Distance up to which fingers and box touch: what stiff contacts bounce by."""
 
-_REST_S, _SETTLE_S = 0.1, 0.3
+_SETTLE_S = 0.3
 _REACHED_M = 0.01  # above the height of pokes, where the tool counts as down
 _LIFT_M = 0.10
 LIFTED_M = 0.5 * _LIFT_M
 """How far a box must rise in a grasp to count as lifted."""
-_DROP_S, _CLOSE_S, _LIFT_S, _HOLD_S = 0.6, 0.5, 0.6, 0.2
 _DRIVES = ("x", "y", "z", "yaw", "left", "right")
 
 
@@ -83,7 +83,7 @@ class GripperRobot(SceneRobot):
             so_far = Touched(torch.stack(measured), torch.tensor(contact), False, "end")
             if k < len(path) - 1 and not go_on(so_far):
                 stopped = "belief"
-                self._steps(self.poking, _REST_S)
+                self._steps(self.poking, REST_S)
                 break
         self._lift()
         return Touched(torch.stack(measured), torch.tensor(contact, dtype=torch.bool), False, stopped)
@@ -109,23 +109,9 @@ class GripperRobot(SceneRobot):
 
     def grasp_controls(self, pose: Float[Tensor, "3"]) -> np.ndarray:
         """The grasp primitive (T, 6) at a pose of the tool: down, close, up, hold."""
-        step = self.physics.time_step_s
         x, y, yaw = pose.tolist()
-        opened, closed = self._opened(), self.task.half[0] - 0.01
-        knots = np.array(
-            [
-                (0.0, x, y, CLEAR_M, yaw, opened, opened),
-                (_DROP_S, x, y, 0.0, yaw, opened, opened),
-                (_REST_S, x, y, 0.0, yaw, opened, opened),
-                (_CLOSE_S, x, y, 0.0, yaw, closed, closed),
-                (_REST_S, x, y, 0.0, yaw, closed, closed),
-                (_LIFT_S, x, y, _LIFT_M, yaw, closed, closed),
-                (_HOLD_S, x, y, _LIFT_M, yaw, closed, closed),
-            ]
-        )
-        times = np.cumsum(knots[:, 0])
-        now = np.arange(1, round(times[-1] / step) + 1) * step
-        return np.stack([np.interp(now, times, knots[:, 1 + axis]) for axis in range(6)], -1)
+        fingers = self._opened(), self.task.half[0] - 0.01
+        return grasp_controls((x, y, yaw), fingers, (CLEAR_M, _LIFT_M), self.physics.time_step_s)[1:]
 
     def box_pose(self) -> Float[Tensor, "3"]:
         """(x, y, yaw) of the box."""
@@ -157,13 +143,13 @@ class GripperRobot(SceneRobot):
         self.data.ctrl[:] = self.data.qpos[self._place]
 
     def _descend(self) -> None:
-        self._go(2, 0.0, _DROP_S)
-        self._steps(self.poking, _REST_S)
+        self._go(2, 0.0, DROP_S)
+        self._steps(self.poking, REST_S)
 
     def _lift(self) -> None:
         self.data.ctrl[:2] = self.data.qpos[self._place[:2]]
-        self._go(2, CLEAR_M, _LIFT_S)
-        self._steps(self.poking, _REST_S)
+        self._go(2, CLEAR_M, LIFT_S)
+        self._steps(self.poking, REST_S)
 
     def _go(self, axis: int, target: float, seconds: float) -> None:
         count = round(seconds / self.physics.time_step_s)
@@ -181,7 +167,7 @@ class GripperRobot(SceneRobot):
             self.data.ctrl[[0, 1, 3]] = begin_ + share * way
             self._mujoco.mj_step(self.poking, self.data)
         if last:
-            self._steps(self.poking, _REST_S)
+            self._steps(self.poking, REST_S)
 
     def _steps(self, model: Any, seconds: float) -> None:  # noqa: ANN401
         self._mujoco.mj_step(model, self.data, nstep=max(1, round(seconds / self.physics.time_step_s)))

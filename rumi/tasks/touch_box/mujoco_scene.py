@@ -55,16 +55,8 @@ def scene_xml(task: TouchTask, physics: GripperPhysics, *, grasping: bool) -> st
     top = task.height_m + 0.03
     finger = f'type="capsule" size="{r}" fromto="0 0 {TIP_M + r} 0 0 {top}" mass="0.05" contype="0" conaffinity="0"'
     contact = f'solref="{own.contact_s} 1" solimp="0.99 0.999 0.0005" condim="4"'
-    drives = "".join(
-        servo(name, name, k, inertia, limit)
-        for name, k, inertia, limit in (
-            ("x", stiffness, own.mass_kg, own.push_n),
-            ("y", stiffness, own.mass_kg, own.push_n),
-            ("z", 2e4, own.mass_kg, own.press_n),
-            ("yaw", 0.01 * stiffness, own.inertia, 20.0),
-            ("left", 2e4, 0.5, own.grip_n),
-            ("right", 2e4, 0.5, own.grip_n),
-        )
+    drives = six_servos(
+        stiffness, (own.mass_kg, own.inertia), push_n=own.push_n, press_n=own.press_n, grip_n=own.grip_n
     )
     return f"""
 <mujoco>
@@ -84,6 +76,28 @@ def scene_xml(task: TouchTask, physics: GripperPhysics, *, grasping: bool) -> st
   </contact>
   <actuator>{drives}</actuator>
 </mujoco>"""
+
+
+def six_servos(stiffness: float, inertias: tuple[float, float], *, push_n: float, press_n: float, grip_n: float) -> str:
+    """Actuators of a gripper's x, y, z, yaw, left and right.
+
+    Args:
+        stiffness: of x and y, newtons a metre; a hundredth of yaw's.
+        inertias: that every slide moves, kg, and that the hinge turns, kg m^2.
+        push_n: of x and y at most.
+        press_n: of z.
+        grip_n: of each finger.
+    """
+    mass_kg, inertia = inertias
+    drives = (
+        ("x", stiffness, mass_kg, push_n),
+        ("y", stiffness, mass_kg, push_n),
+        ("z", 2e4, mass_kg, press_n),
+        ("yaw", 0.01 * stiffness, inertia, 20.0),
+        ("left", 2e4, 0.5, grip_n),
+        ("right", 2e4, 0.5, grip_n),
+    )
+    return "".join(servo(name, name, *limits) for name, *limits in drives)
 
 
 def two_fingers_xml(finger: str, top_m: float, mass_kg: float, inertia: float) -> str:
