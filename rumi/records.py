@@ -54,10 +54,10 @@ class StepRecord:
     apc: float
     ess: float
     contacts: int
-    resampled: bool
-    converged: bool
-    truth: Float[Tensor, "4 4"] | None
-    nll: float | None
+    resampled: bool = False
+    converged: bool = False
+    truth: Float[Tensor, "4 4"] | None = None
+    nll: float | None = None
     timings_s: dict[str, float] = field(default_factory=dict)
     remarks: tuple[Remark, ...] = ()
     lost: float = 0.0
@@ -75,7 +75,7 @@ class StepRecord:
         return self.belief.world_T_object, self.belief.log_weights
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunResult:
     """How a run ended; figures that need the truth are None without it.
 
@@ -103,18 +103,18 @@ class RunResult:
         explanations: probability of "no fault" and of each fault, at the last alarm or else at the end.
     """
 
-    right: bool | None
-    paper_success: bool | None
-    paper_success_at_start: bool | None
-    min_nll: float | None
-    final_nll: float | None
-    cumulative_nll: float | None
+    right: bool | None = None
+    paper_success: bool | None = None
+    paper_success_at_start: bool | None = None
+    min_nll: float | None = None
+    final_nll: float | None = None
+    cumulative_nll: float | None = None
     steps: int
     stopped_by: StopReason
     apc: float
     expected_nll: float
-    position_error_mm: float | None
-    rotation_error_deg: float | None
+    position_error_mm: float | None = None
+    rotation_error_deg: float | None = None
     contacts: int
     clipped: int
     timings_s: dict[str, float] = field(default_factory=dict)

@@ -83,7 +83,7 @@ def record(
     path = configuration[None] if path is None else path
     reading = make_reading(tool=se3.from_planar(path, HEIGHT), motion=motion, configuration=configuration)
     control = None if step == 0 else torch.zeros(3)
-    rest = {"expected_nll": expected_nll, "fit": 0.0, "apc": 0.0, "ess": 1.0, "contacts": 0, "resampled": False}
+    rest = {"expected_nll": expected_nll, "fit": 0.0, "apc": 0.0, "ess": 1.0, "contacts": 0}
     return StepRecord(
         step=step,
         control=control,
@@ -91,9 +91,7 @@ def record(
         added=added or Observation.empty(),
         belief=believed,
         plan=plan,
-        converged=False,
         truth=truth,
-        nll=None,
         **rest,
     )
 
