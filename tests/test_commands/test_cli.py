@@ -25,8 +25,6 @@ from rumi.tasks.rummage.settings import preset
 from tests.fixtures.made_up_run import make_up
 
 pytestmark = pytest.mark.usefixtures("at_home")
-
-
 ROOT = Path(__file__).resolve().parent.parent.parent
 SMALL = [
     *("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12"),

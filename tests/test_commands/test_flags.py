@@ -16,8 +16,6 @@ from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 
 pytestmark = pytest.mark.usefixtures("at_home")
-
-
 ROOT = Path(__file__).resolve().parent.parent.parent
 
 

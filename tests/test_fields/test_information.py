@@ -3,7 +3,6 @@
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, get_args
 
 import pytest
@@ -11,7 +10,6 @@ import torch
 from torch import Tensor
 
 from rumi.fields.information import (
-    InformationField,
     InformationMode,
     InformationSettings,
     WorkspaceFields,
@@ -30,7 +28,6 @@ from sdf.threads import using
 from sensors.semantics import semantics_probability
 
 MODES = get_args(InformationMode)
-Beliefs = Callable[..., tuple[Tensor, Tensor]]
 GOLDEN_NAMES = {
     "surrogate": "I_surrogate",
     "reverse_kl": "I_reverse_kl",
@@ -42,29 +39,8 @@ GOLDEN_NAMES = {
 # every test of this file holds for the plain and for the compiled version, but where a graph is kept
 pytestmark = pytest.mark.usefixtures("version")
 
-
+Beliefs = Callable[..., tuple[Tensor, Tensor]]
 only_plain = pytest.mark.parametrize("version", ["torch"], indirect=True)
-
-
-@pytest.fixture
-def beliefs(generator: torch.Generator) -> Beliefs:
-    def make(*batch: int, count: int = 6, spread: float = 0.02) -> tuple[Tensor, Tensor]:
-        tangent = torch.randn(*batch, count, 6, generator=generator, dtype=torch.float64)
-        poses = se3.exp(tangent * torch.tensor([spread] * 3 + [0.4] * 3, dtype=torch.float64))
-        weights = torch.randn(*batch, count, generator=generator, dtype=torch.float64)
-        return poses, weights.log_softmax(-1)
-
-    return make
-
-
-@pytest.fixture(scope="module")
-def mug() -> SDF:
-    return GridSDF.from_sdf(Mug(), spacing=0.004).double()
-
-
-@pytest.fixture
-def points(generator: torch.Generator) -> Tensor:
-    return 0.3 * torch.rand(80, 3, generator=generator, dtype=torch.float64) - 0.1
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -236,44 +212,6 @@ def test_nothing_near_needs_no_lookup(beliefs: Beliefs) -> None:
     assert torch.equal(fields.semantics[:, 0], torch.ones(4, dtype=torch.float64))
 
 
-def test_expected_normal_is_the_gradient_of_the_expected_distance(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
-    poses, log_weights = beliefs()
-    at = points.clone().requires_grad_()
-    inverse = se3.inverse(poses)
-    expected = (log_weights.exp()[:, None] * mug.distance(se3.apply(inverse, at.expand(6, 80, 3)))).sum()
-    (gradient,) = torch.autograd.grad(expected, at)
-    torch.testing.assert_close(expected_normal(mug, poses, log_weights, points), gradient)
-    assert bool((gradient.norm(dim=-1) <= 1 + 1e-9).all())
-
-
-def test_expected_normal_where_asked_and_in_batches(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
-    poses, log_weights = beliefs(2)
-    where = torch.zeros(2, 80, dtype=torch.bool)
-    where[0, :5], where[1, 3:9] = True, True
-    normal = expected_normal(mug, poses, log_weights, points, where)
-    for i in range(2):
-        alone = expected_normal(mug, poses[i], log_weights[i], points)
-        torch.testing.assert_close(normal[i], alone * where[i][:, None])
-
-
-@only_plain
-def test_module_has_its_numbers_in_its_state_and_trains_them(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
-    poses, log_weights = beliefs()
-    fixed = InformationField(mug, InformationSettings(tail=0.0)).double()
-    plain = information_field(mug, poses, log_weights, points, fixed.settings)
-    close(fixed(poses, log_weights, points), plain, atol=1e-12)
-    assert {"sharpness", "surface_tolerance", "peakiness", "free_scale", "tolerance"} <= set(fixed.state_dict())
-    assert not list(fixed.parameters())
-    trained = InformationField(Sphere(0.06).double(), InformationSettings("surrogate"), trainable=True).double()
-    poses = poses.requires_grad_()
-    trained(poses, log_weights, points).information.sum().backward()
-    gradients = {name: p.grad for name, p in trained.named_parameters()}
-    assert len(gradients) == 4
-    assert all(g is not None and bool(g.isfinite()) and float(g) != 0 for g in gradients.values()), gradients
-    assert bool(poses.grad.isfinite().all())
-    assert float(poses.grad.abs().max()) > 0
-
-
 @only_plain
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("upright", [False, True])
@@ -355,21 +293,6 @@ def test_certainty_and_points_far_off_leave_nothing_undefined(mug: SDF) -> None:
                 assert float(fields.information.abs().max()) < 2e-6
 
 
-def test_module_without_a_graph_is_the_function(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
-    poses, log_weights = beliefs()
-    settings = InformationSettings("reverse_kl", peakiness=1.5, free_scale=8.0, tolerance=0.25, tail=0.0)
-    module = InformationField(mug, settings, trainable=True).double()
-    with torch.no_grad():
-        found = module(poses, log_weights, points)
-    names = ("sharpness", "surface_tolerance", "peakiness", "free_scale")
-    settings = replace(settings, **{name: getattr(module, name).item() for name in names})  # as float32 has them
-    close(found, information_field(mug, poses, log_weights, points, settings))
-    # a number of its own for every point is nothing that one pass can take
-    each = torch.full((80,), settings.peakiness, dtype=torch.float64)
-    plain = information_field(mug, poses, log_weights, points, settings, peakiness=each)
-    close(plain, found)
-
-
 @pytest.mark.parametrize("mode", ["reverse_kl", "forward_kl"])
 @only_plain
 def test_poses_that_agree_tell_nothing_however_far_the_point(mode):
@@ -405,11 +328,6 @@ def test_scenes_far_apart_are_as_right_as_alone(beliefs, generator):
         alone = information_field(table, poses[scene], log_weights[scene], points)
         torch.testing.assert_close(both.information[scene], alone.information)
         torch.testing.assert_close(both.semantics[scene], alone.semantics)
-
-
-def test_the_modules_numbers_are_the_settings_to_the_last_digit() -> None:
-    module = InformationField(Sphere(0.06), InformationSettings(surface_tolerance=0.003))
-    assert module.surface_tolerance.item() == 0.003
 
 
 def test_refuses_beliefs_that_are_none(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:

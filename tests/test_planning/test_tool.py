@@ -13,8 +13,6 @@ from rumi.robot.tool import CHORD_M, Tool
 from sdf import backend
 
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
-
-
 SPACE = torch.tensor([[0.0, -0.4, 0.03], [0.8, 0.4, 0.2]], dtype=torch.float64)
 
 

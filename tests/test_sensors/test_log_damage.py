@@ -18,8 +18,6 @@ from sensors.log.writer import SCHEMA, LogWriter, StreamSpec
 from tests.fixtures.logs import READINGS, STREAMS, assert_same, made_up_reading, written
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-
-
 KILLED = """
 import sys
 sys.path.insert(0, {root!r})
