@@ -123,19 +123,14 @@ def doubted(
         readings: since then.
         generator: of the draws.
     """
-    copies = copied(pose_filter, first, _FURTHER, generator)
+    usual = pose_filter.supposing(own=replace(pose_filter.own, first_particles=0))
+    copies: tuple[Rival, ...] = ()
+    for _ in range(_FURTHER):
+        now = first.at(torch.randint(len(first), (pose_filter.own.particles,), generator=generator))
+        copies = (*copies, _rival(NO_FAULT, 1, usual, now))
     for reading in readings:
         copies = followed(copies, reading, generator)
     return copies
-
-
-def copied(
-    pose_filter: PoseTrajectoryFilter, now: Trajectories, count: int, generator: torch.Generator
-) -> tuple[Rival, ...]:
-    """So many copies of no fault that begin at particles of a belief, equally weighted, and go on by other draws."""
-    usual = pose_filter.supposing(own=replace(pose_filter.own, first_particles=0))
-    rows = [torch.randint(len(now), (pose_filter.own.particles,), generator=generator) for _ in range(count)]
-    return tuple(_rival(NO_FAULT, 1, usual, now.at(some)) for some in rows)
 
 
 def is_asked_again(rivals: Sequence[Rival]) -> bool:

@@ -237,8 +237,6 @@ class StopSettings(Checked, refusal=UsageError):
             in space, else any.
         least_chance: p-value of the readings at the best particle below which no pose explains them, and no rule but
             "apc" stops; 0 asks for none.
-        copies: of a belief of an upright object's trajectories, by other draws, that have to agree with it before a run
-            stops as sure, whatever the rule; 0 asks none.
     """
 
     rule: Annotated[str, OneOf(STOP_RULES)] = "auto"
@@ -250,7 +248,6 @@ class StopSettings(Checked, refusal=UsageError):
     probability: ShareAbove0 = 0.95
     most_nll: Annotated[float, Ge(0.0)] | None = None
     least_chance: Share = 0.01
-    copies: CountOr0 = 3
 
 
 class Shortfall(NamedTuple):

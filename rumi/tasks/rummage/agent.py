@@ -28,7 +28,6 @@ from rumi.records import RunResult, StepRecord
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.task import StepResult
-from rumi.tasks.rummage.agreement import asked
 from rumi.tasks.rummage.answer import relies_on, warnings
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
 from rumi.tasks.rummage.fault_state import Watch
@@ -41,8 +40,7 @@ from sensors.reading import Reading
 from sensors.semantics import Semantics
 
 _PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
-# of random, by use
-_STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "faults", "pushes", "copies")
+_STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "faults", "pushes")  # of random, by use
 _TOLD = ("measured", "corrected", "estimated")  # motions that tell of the push, not of the push model
 _PARTS = 8  # of an action, in which its free path is worked out again
 
@@ -222,16 +220,6 @@ class Rummager:
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
             record = replace(told(again, now), remarks=record.remarks, timings_s=record.timings_s | timings)
         history, pushes = (*state.history, record), state.pushes
-        now = asked(
-            now,
-            history,
-            now.following or self.filter,
-            self.model.symmetries,
-            copies=self.stop_rule.copies,
-            within_m=self.position_tolerance_m,
-            within_rad=self.rotation_tolerance_rad,
-            generator=random["copies"],
-        )
         if self.pushes is not None and touched and self.filter.settings.motion in _TOLD:
             with clock("pushes"):
                 pushes = learnt_pushes(self.pushes, history, self._body, generator=random["pushes"])

@@ -8,7 +8,6 @@ from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.rival_filters import RIVALS, Rival
 
 _DOUBT = 1.0  # nats
-_AGREED = 0.9  # probability of the best pose, over belief and copies, below which its draws alone may be sure of it
 _BESIDE_M = 0.002  # a last contact this far off says that something is wrong, though little of what
 
 
@@ -34,9 +33,6 @@ class Watch:
         beside_m: how far what was felt last is from where any particle has it felt.
         set_aside: whether the last reading is left out: something was felt falsely in it, which by itself is no fault.
         waited: actions since an alarm was due whose fault is not clear yet.
-        copies: beliefs by other draws that have taken in the same readings; None before the belief is sure.
-        copied: action after which the belief was begun that they are copies of.
-        agreed: probability that the belief's best pose is right, the mean over the belief and its copies.
     """
 
     evidence: ChangeEvidence | None = None
@@ -54,9 +50,6 @@ class Watch:
     beside_m: float = 0.0
     waited: int = 0
     set_aside: bool = False
-    copies: tuple[Rival, ...] | None = None
-    copied: int = 0
-    agreed: float = 1.0
 
     def doubt(self) -> str | None:
         """What speaks for a fault, though not enough for an alarm: no time to be sure."""
@@ -69,6 +62,4 @@ class Watch:
             return "the last readings fit a fault better than the belief"
         if self.beside_m > _BESIDE_M:
             return f"what was felt last is {1e3 * self.beside_m:.0f} mm beside every pose that is believed"
-        if self.agreed < _AGREED:
-            return f"by other draws of the belief its best pose is right with probability {self.agreed:.2f} alone"
         return None

@@ -208,16 +208,17 @@ def _rivals(
         if none > _STRAINED or not isinstance(first, PoseTrajectoryBelief) or first.trajectories is None:
             return None, before.static
         rivals = rival_filters.begun(pose_filter, first.trajectories, generator)
-        readings = [*taken_in(history[1:]), record.reading]
+        readings = _taken_in(history, record)
     for reading in readings:
         rivals = rival_filters.followed(rivals, reading, generator)
     rivals = rival_filters.left(rivals, rival_filters.log_none(rivals, none))
     return rivals, rival_filters.log_ratios(rivals, none)
 
 
-def taken_in(steps: Sequence[StepRecord]) -> list[Reading]:
-    """Readings of some steps that were not left out."""
-    return [step.reading for step in steps if all(remark.name != _FALSE_TOUCH for remark in step.remarks)]
+def _taken_in(history: Sequence[StepRecord], record: StepRecord) -> list[Reading]:
+    """Readings since the first view that were not left out."""
+    steps = [step for step in history[1:] if all(remark.name != _FALSE_TOUCH for remark in step.remarks)]
+    return [*(step.reading for step in steps), record.reading]
 
 
 def _all_ratios(
@@ -247,7 +248,7 @@ def _asked_again(
     assert follows(pose_filter)
     assert isinstance(first, PoseTrajectoryBelief) and first.trajectories is not None
     assert isinstance(here, PoseTrajectoryBelief) and here.trajectories is not None
-    readings = [*taken_in(history[1:]), record.reading]
+    readings = _taken_in(history, record)
     copies = rival_filters.doubted(pose_filter, first.trajectories, readings, generator)
     rivals, none = (*rivals, *copies), here.trajectories.log_evidence
     return rivals, rival_filters.log_ratios(rivals, none)

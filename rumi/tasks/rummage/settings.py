@@ -169,11 +169,11 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     """
     if "made_with" in values and "filter" in values:
         # runs on record that do not say otherwise are of before errors of a whole run were particles' own, populations
-        # exchanged particles, what is felt standing still counted less, and copies were asked before a stop
+        # exchanged particles, and what is felt standing still counted less
         following = {"stated_errors": "noise", **values["filter"]}
         if "trajectories" in following:
             following["trajectories"] = {"exchanged": 0.0, "fresh_m": 0.0, **following["trajectories"]}
-        values = {**values, "filter": following, "stop": {"copies": 0, **values.get("stop", {})}}
+        values = {**values, "filter": following}
     extra = {"schema", "made_with"}
     return dataclass_of(Settings, {name: value for name, value in values.items() if name not in extra})
 
