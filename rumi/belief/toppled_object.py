@@ -175,9 +175,11 @@ class ToppledObject:
         length = step[:, :2].norm(dim=-1)
         size = length + own.m_per_rad * step[:, 2].abs()
         # a fall leaves it somewhere about where it would lie
+        tools_way = (after - before)[[0, 1, 3]].norm()
+        size = size + own.slip * tools_way
         size = torch.where(done.fell, size.new_tensor(own.fall_m), size) * (done.slid | done.fell)
         # what leans on the tool slips about as the tool moves it
-        size = torch.where(done.state.lying[:, 1] >= 0, own.lean * way.norm(), size)
+        size = torch.where(done.state.lying[:, 1] >= 0, own.lean * tools_way, size)
         along = torch.where((length[:, None] > 1e-9) & ~done.fell[:, None], step[:, :2], done.ahead)
         along = along / along.norm(dim=-1, keepdim=True).clamp_min(1e-9)
         across = torch.stack((-along[:, 1], along[:, 0]), -1)
@@ -220,7 +222,7 @@ def _replay_numba(
     rests, edges = model.rests, model.rests.edges
     prior, priced = tables(own)
     topples = own.fall_m, own.firm_change / model.wide, own.lean, own.soft[0], own.soft[1] / model.wide
-    scales = torch.cat((prior, prior.new_tensor((*topples, *own.grip, own.missed, history.power))))
+    scales = torch.cat((prior, prior.new_tensor((*topples, *own.grip, own.missed, history.power, own.slip))))
     numbers = prior.new_tensor((model.reach_m, model.wide, float(model.tool[:, :2].norm(dim=-1).max())))
     done, sensed = history.arrays
     turned = rests.turn, rests.height_m, rests.centre, rests.spread_m

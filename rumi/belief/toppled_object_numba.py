@@ -81,7 +81,7 @@ def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
     )
     frame = placed(state[0], state[1], state[2], state[3], state[4], state[5], rests)
     apart, last = 0.0, (0.0, 0.0, 0.0, 0.0)
-    sizes = (scales[12], scales[16], scales[18])
+    sizes = (scales[12], scales[16], scales[18], scales[25])
     ahead = scales[4] + scales[5] * physics[n, 4]
     centre_x, centre_y = scales[6] * physics[n, 2], scales[6] * physics[n, 3]
     own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])

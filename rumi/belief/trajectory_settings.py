@@ -60,7 +60,7 @@ class PoseTrajectorySettings:
             step's: contacts set in and let go otherwise than the model's by as much as it takes a small step to go.
         fall_m: length that a fall counts as.
         firm_change: log-deviation of the tilt at which an object falls over.
-        lean: part of the tool's way by which what leans on it may slip.
+        lean, slip: parts of the tool's way by which what leans on it, and what it pushes along, may slip in space.
         soft: median, metres, and log-deviation of how far the tool goes into an object, and it into the floor, when
             pressed on from above.
         grip: deviations of the noise along the way beyond which the tool drags along what it presses on from above, and
@@ -120,7 +120,8 @@ class PoseTrajectorySettings:
     least_m: float = 0.0
     fall_m: float = 0.06
     firm_change: float = 0.2
-    lean: float = 0.2
+    lean: float = 0.4
+    slip: float = 0.1
     soft: tuple[float, float] = (0.001, 1.0)
     grip: tuple[float, float] = (0.5, 1.5)
     unfitted: float = 5.0

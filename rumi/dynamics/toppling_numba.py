@@ -279,11 +279,14 @@ def pushed(state, before, after, body, firm, sizes, scene):
             from_x, from_y, from_yaw = x, y, yaw
             x, y, yaw = _slid(x, y, yaw, rest, level, before, after, body, scene)
             size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
+            way = (after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2 + (after[3] - before[3]) ** 2
+            size += sizes[3] * math.sqrt(way)
             if unit_x == 0.0 and unit_y == 0.0:
                 unit_x, unit_y = level[1], level[2]
     if edge >= 0:
         if tilt < tip[rest, edge] * firm + LANDS_RAD:
-            size = sizes[2] * math.sqrt((after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2)
+            way = (after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2 + (after[3] - before[3]) ** 2
+            size = sizes[2] * math.sqrt(way)
         else:
             following, change = rests[7], rests[8]
             c, s = math.cos(yaw), math.sin(yaw)

@@ -195,8 +195,10 @@ class StopEvidence(NamedTuple):
         apc: average pairwise chamfer distance of the particles, metres (RUMI, Eq 33).
         diagonal: of the object's bounding box, metres.
         contacts: actions so far that touched the object.
-        p_right: probability that the belief's best pose is within the task's tolerance, modulo symmetry.
+        p_right: probability that the belief's best pose is within the task's tolerance, modulo symmetry, as its
+            particles count it.
         chance: of readings as unlikely as these where the best particle is right, at most; 1 where nobody knows.
+        draws: effective number of these particles.
     """
 
     expected_nll: float
@@ -206,6 +208,15 @@ class StopEvidence(NamedTuple):
     contacts: int
     p_right: float = math.nan
     chance: float = 1.0
+    draws: float = math.inf
+
+    @property
+    def least_p_right(self) -> float:
+        """Lower bound of `p_right`: less two standard errors of a count of so many draws.
+
+        Whoever stops as soon as a noisy estimate is high enough stops by its noise.
+        """
+        return self.p_right - 2.0 * math.sqrt(max(0.0, self.p_right * (1.0 - self.p_right)) / self.draws)
 
 
 StopRule = Callable[["StopSettings", StopEvidence], bool]
@@ -231,7 +242,8 @@ class StopSettings(Checked, refusal=UsageError):
             add up, so that what was felt before them no longer fits what is felt after them.
         contacts: actions that must have touched the object.
         apc_ratio: beta_t.
-        probability: that the best pose is within the task's tolerance, as the belief has it.
+        probability: that the best pose is within the task's tolerance, as the belief has it: two standard errors of
+            what its particles count have to be above it too.
         most_nll: expected nll beyond which "probability" does not stop: poses that are all within the tolerance may lie
             too far apart for the object to count as found. None for what counts as found where the object is followed
             in space, else any.
@@ -284,9 +296,9 @@ def shortfalls(settings: StopSettings, now: StopEvidence) -> tuple[Shortfall, ..
     if settings.rule == "probability":
         if now.contacts < settings.contacts:
             return (Shortfall("contacts", now.contacts, settings.contacts),)
-        if now.p_right >= settings.probability:
+        if now.least_p_right >= settings.probability:
             return (Shortfall("nll", now.expected_nll, math.inf if settings.most_nll is None else settings.most_nll),)
-        return (Shortfall("spread", now.p_right, settings.probability),)
+        return (Shortfall("spread", now.least_p_right, settings.probability),)
     if settings.rule == "apc":
         return (Shortfall("spread", now.apc, settings.apc_ratio * now.diagonal),)
     return (Shortfall("rule", math.nan, math.nan),)
@@ -302,7 +314,7 @@ STOP_RULES.add("apc", lambda settings, now: now.apc < settings.apc_ratio * now.d
 STOP_RULES.add(
     "probability",
     lambda settings, now: (
-        now.p_right >= settings.probability
+        now.least_p_right >= settings.probability
         and (settings.most_nll is None or now.expected_nll <= settings.most_nll)
         and now.contacts >= settings.contacts
         and now.chance >= settings.least_chance

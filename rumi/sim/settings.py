@@ -11,6 +11,8 @@ from rumi.sim.error_settings import BuildSpread, PadErrors, ViewErrors
 from rumi.sim.sensor_settings import SensorSettings
 from sdf.bounds import Checked, Count, Finite, NotNegative, Positive
 
+_GUARD_M, _GUARD_IN_SPACE_M = 0.015, 0.008
+
 
 @dataclass(frozen=True)
 class SimSettings(Checked, refusal=UsageError):
@@ -41,7 +43,8 @@ class SimSettings(Checked, refusal=UsageError):
         guarded: whether actions are guarded moves, which end once pads have felt something for `guard_m` of the way;
             "auto": where nothing measures how a push moves an upright object, and each particle goes its own way. Else
             they are carried out whole, whatever is felt.
-        guard_m: how far a guarded move goes on while its pads feel something.
+        guard_m: how far a guarded move goes on while its pads feel something; None for 8 mm of a tool that moves in
+            space, where what is pushed tips and slips, else 15.
         stops_late_s: how much longer than `action_s` an action goes on at its speed, or than `guard_m` lets it.
         tool_off_m: error of where the tool is taken to be, in a random direction, constant for a run.
         tool_off_rad: error of its yaw.
@@ -68,7 +71,7 @@ class SimSettings(Checked, refusal=UsageError):
     robot: Annotated[Literal["gripper", "arm"], tyro.conf.arg(name="robot", prefix_name=False)] = "gripper"
     cleared_by: Literal["truth", "margin"] = "truth"
     guarded: Literal["auto", "always", "never"] = "auto"
-    guard_m: NotNegative = 0.015
+    guard_m: NotNegative | None = None
     stops_late_s: NotNegative = 0.0
     tool_off_m: NotNegative = 0.0
     tool_off_rad: NotNegative = 0.0
@@ -84,6 +87,12 @@ class SimSettings(Checked, refusal=UsageError):
                 f"Expected each of mini_steps ({self.mini_steps}) to last at least one time_step_s "
                 f"({self.time_step_s} s) of action_s ({self.action_s} s): use fewer mini steps or a smaller time step"
             )
+
+    def guard_of(self, *, spatial: bool) -> float:
+        """How far a guarded move of a tool goes on, metres, which is level or moves in space."""
+        if self.guard_m is not None:
+            return self.guard_m
+        return _GUARD_IN_SPACE_M if spatial else _GUARD_M
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,7 @@ def why_not(
     if first.part == "rule":
         return f"the stop rule {rummager.stop_rule.rule!r} does not hold; {ended}"
     if rummager.stop_rule.rule == "probability" and first.part != "nll":
-        return f"believed right with probability {first.value:.2f}, {first.allowed:.2f} is asked for; {ended}"
+        return f"believed right with probability {first.value:.2f} at least, {first.allowed:.2f} is asked for; {ended}"
     if sum(mode.weight >= _TOLD for mode in pose.modes) > 1:
         return f"{_rivals(rummager, record, pose)}; {ended}"
     return (

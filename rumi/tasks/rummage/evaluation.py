@@ -61,8 +61,8 @@ def evaluate_step(
     p_right = belief.probability_right(
         model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
     )
-    chance = math.exp(rummager.filter.log_chance(belief))
-    evidence = StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right, chance)
+    chance, ess = math.exp(rummager.filter.log_chance(belief)), float(belief.ess())
+    evidence = StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right, chance, ess)
     return StepRecord(
         step=len(history),
         control=control,
@@ -73,7 +73,7 @@ def evaluate_step(
         expected_nll=expected,
         fit=fit,
         apc=apc,
-        ess=float(belief.ess()),
+        ess=ess,
         contacts=contacts,
         resampled=resampled,
         converged=converged(rummager.stop_rule, evidence),

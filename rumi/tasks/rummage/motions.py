@@ -18,6 +18,7 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
+from rumi.fields.information import InformationSettings
 from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.registration.descent import Search
 from rumi.robot.gripper import gripper_of
@@ -38,6 +39,7 @@ _FIRST = 3000  # particles of a first touch
 _NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points draw a thin wall so far to the camera
 # push model of plans of guarded moves in space, and what they weigh pushes and reach by
 _CARRIED, _PUSH_SCALE, _REACH_SCALE = "displacement", 1.0, 0.5
+_SHARPNESS = 300.0  # 1/m, of the sensor model that plans of guarded moves in space go by: as sharp as pads are
 _FRESH_M = 0.003  # way of the tool in space after which its pads tell something new
 _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 
@@ -73,13 +75,17 @@ def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     """The planner's settings with what suits guarded moves in space, where nothing else is asked for.
 
     Plans count on actions that end where they touch, a push costs certainty, and reach is worth less: no action takes
-    the object far.
+    the object far. Information is as near to the surface as pads feel it, so that plans touch what is nearly known.
     """
     planner = settings.planner
     if is_planar(spec) or guarded(spec, settings).guarded != "always" or planner.push_model not in (AUTO, _CARRIED):
         return planner
+    information = planner.information
+    if information.sharpness == InformationSettings().sharpness:
+        information = replace(information, sharpness=_SHARPNESS)
     return replace(
         planner,
+        information=information,
         push=replace(planner.push, guarded=True),
         push_scale=_PUSH_SCALE if planner.push_scale is None else planner.push_scale,
         sensed_here=planner.sensed_here is not False,

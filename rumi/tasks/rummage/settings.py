@@ -169,10 +169,10 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     """
     if "made_with" in values and "filter" in values:
         # runs on record that do not say otherwise are of before errors of a whole run were particles' own, populations
-        # exchanged particles, and what is felt standing still counted less
+        # exchanged particles, what is felt standing still counted less, and what is pushed in space slipped
         following = {"stated_errors": "noise", **values["filter"]}
         if "trajectories" in following:
-            following["trajectories"] = {"exchanged": 0.0, "fresh_m": 0.0, **following["trajectories"]}
+            following["trajectories"] = {"exchanged": 0.0, "fresh_m": 0.0, "slip": 0.0, **following["trajectories"]}
         values = {**values, "filter": following}
     extra = {"schema", "made_with"}
     return dataclass_of(Settings, {name: value for name, value in values.items() if name not in extra})

@@ -188,7 +188,8 @@ class SimTask:
         self._pad_draws = self._pad_faults.drawn(len(path))
         guard = None
         if self.settings.guarded == "always":
-            guard = Guard(GuardedMove(self.settings.guard_m, lambda index: self._feels(index, path)), late_s)
+            guard_m = self.settings.guard_of(spatial=self.spec.spatial)
+            guard = Guard(GuardedMove(guard_m, lambda index: self._feels(index, path)), late_s)
         track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s, guard)
         reading = self._sense(before, track, refused + track.refused_m)
         for fault in self._begun_faults():

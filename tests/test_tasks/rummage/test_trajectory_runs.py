@@ -83,6 +83,25 @@ def test_a_run_stops_where_it_is_probably_right_and_has_touched():
         StopSettings(probability=0.0)
 
 
+def test_who_counts_few_particles_needs_more_of_them_to_stop():
+    """Else a run stops by the noise of the count, which it looks at after every action."""
+    rule, state = StopSettings(rule="probability"), {"expected_nll": 9.0, "fit": 9.0, "apc": 1.0, "diagonal": 0.1}
+    for right, draws, sure in (
+        (386, 400, False),
+        (388, 400, True),
+        (150, 150, True),
+        (145, 150, False),
+        (20, 20, True),
+    ):
+        evidence = StopEvidence(**state, contacts=1, p_right=right / draws, draws=float(draws))
+        assert converged(rule, evidence) is sure
+        if not sure:
+            (short,) = shortfalls(rule, evidence)
+            share = right / draws
+            assert short.part == "spread"
+            assert short.value == pytest.approx(share - 2.0 * math.sqrt(share * (1.0 - share) / draws))
+
+
 @pytest.mark.parametrize("most", [-3.0, math.nan])
 def test_an_expected_nll_that_no_belief_has_is_refused(most):
     with pytest.raises(UsageError, match="most_nll to be 0 or more"):
