@@ -44,6 +44,9 @@ block = inner(forceinline=True, fastmath={"contract", "nsz"})
 # functions that stay functions: to the bit, or with sums reordered so that their loops become vector instructions
 exact = inner()
 fast = inner(fastmath={"reassoc", "contract", "arcp", "nsz"})
+# the same within each caller: called with constants it is optimised otherwise there than by itself, and which of both a
+# process runs hangs on whether it compiled them or read them from the cache
+summed = inner(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 def _reads(builder):

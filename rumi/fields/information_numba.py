@@ -9,7 +9,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import block, fast, lattice_of, layer_value, put, value
+from sdf.grid_numba import block, lattice_of, layer_value, put, summed, value
 from sdf.part_numba import indices
 from sdf.posed import common_height
 from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments
@@ -126,7 +126,7 @@ def _cost(v, outcome, settings):
     return excess * (settings[1] if outcome == 2 else settings[2])
 
 
-@fast
+@summed
 def _divergence(v, log_weights, w, outcome, reverse, settings):
     """Information of one outcome, from the distances to all poses, their log-weights and weights.
 
@@ -148,7 +148,7 @@ def _divergence(v, log_weights, w, outcome, reverse, settings):
         share = _exp_minus(most - (log_weights[j] - cost))
         total += share
         weighted += share * cost
-    log_evidence = most + math.log(total)
+    log_evidence = most + _log(total)
     return mean + log_evidence if reverse else -weighted / total - log_evidence
 
 
