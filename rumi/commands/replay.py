@@ -22,6 +22,7 @@ from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, IMPORTED, TASKS, TaskEntry, entry_of_record
 
 if TYPE_CHECKING:
+    from rumi.tasks.rummage.agent import Rummager
     from rumi.agent import Agent
     from rumi.rosbag.mapping import BagMap
     from rumi.runs.recorded import RunLog
@@ -239,6 +240,10 @@ def _replay(
         say(problem)
     if scene is not None:
         agent = agent_of_imported(scene, settings, taken, cache_dir)
+        if mapping is not None:
+            from rumi.rosbag.in_plane import in_plane
+
+            taken = in_plane(cast("list[Taken]", taken), cast("Rummager", agent))
     else:
         agent = entry.agent(settings, cache_dir=cache_dir)
     _check_object(log, agent)
