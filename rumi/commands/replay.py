@@ -22,11 +22,11 @@ from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, IMPORTED, TASKS, TaskEntry, entry_of_record
 
 if TYPE_CHECKING:
-    from rumi.tasks.rummage.agent import Rummager
     from rumi.agent import Agent
     from rumi.rosbag.mapping import BagMap
     from rumi.runs.recorded import RunLog
     from rumi.runs.replay import Recorded
+    from rumi.tasks.rummage.agent import Rummager
     from rumi.tasks.rummage.settings import Settings
     from sensors.log.reader import Log, Taken
 

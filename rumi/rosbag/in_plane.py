@@ -10,11 +10,11 @@ from torch import Tensor
 
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.tasks.rummage.agent import Rummager
-from sdf import se3
 from sensors.log.reader import Taken
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
+_LEVEL_M = 0.002  # by which heights may differ and be of one floor
 _UPRIGHT = math.cos(math.radians(10.0))  # of a tracked object that stands
 
 
@@ -37,9 +37,11 @@ def in_plane(taken: Sequence[Taken], rummager: Rummager) -> list[Taken]:
 
 
 def _standing(truth: Float[Tensor, "4 4"] | None, height_m: float) -> Float[Tensor, "4 4"] | None:
-    if truth is None or float(truth[2, 2]) < _UPRIGHT:
+    if truth is None or float(truth[2, 2]) < _UPRIGHT or abs(float(truth[2, 3]) - height_m) < _LEVEL_M:
         return truth
-    return se3.from_planar(se3.to_planar(truth), height_m)
+    put = truth.clone()
+    put[2, 3] = height_m
+    return put
 
 
 def _without_higher(reading: Reading, rummager: Rummager) -> Reading:
