@@ -91,8 +91,9 @@ class PosePrior:
         share = torch.stack([(draw[k] + (rank + 1) / _R3 ** (k + 1)) % 1.0 for k in range(3)], -1)
         angle, radius = 2 * math.pi * share[:, 1], REACH * self.spread_m * share[:, 2].sqrt()
         place = self.mean + radius[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
-        yaw = 2.0 * share[:, :1] - 1.0
-        yaw = math.pi * yaw if self.yaw is None else self.yaw[0] + min(math.pi, REACH * self.yaw[1]) * yaw
+        yaw = 2 * math.pi * share[:, :1] - math.pi
+        if self.yaw is not None:
+            yaw = self.yaw[0] + min(1.0, REACH * self.yaw[1] / math.pi) * yaw
         planar = torch.cat((place, yaw), -1)
         return se3.from_planar(planar) @ self.ways[index.long() % len(self.ways)]
 
