@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
+from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -36,6 +37,7 @@ class Trajectories:
         apart: whether they stand too far apart for a touch: draws of a prior, or of where a jump may have led.
         log_evidence: estimate of the log marginal likelihood of the readings since the start, in the plane.
         forgotten: segments before the history's first.
+        first: prior of the start pose, where no view shows it; else start poses are even.
     """
 
     physics: Float[Tensor, "N P"]
@@ -47,6 +49,7 @@ class Trajectories:
     apart: bool = False
     log_evidence: float = 0.0
     forgotten: int = 0
+    first: PosePrior | None = None
 
     @classmethod
     def drawn(

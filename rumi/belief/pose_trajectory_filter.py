@@ -15,17 +15,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.first_poses import DRAWS, STARTS, drawn_again, of_prior
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
 from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
-from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.segments import above, cut, felt_pads, path_of, pushed, seen_besides, standing
 from rumi.belief.systematic_errors import NUMBERS
 from rumi.belief.tempering import check_finite, in_full, log_mean, power_of, raised
 from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import History, Segment
-from rumi.belief.trajectory_moves import KERNEL, Moves, start_density
+from rumi.belief.trajectory_moves import Moves, start_density
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.yaw_search import all_round
 from rumi.errors import UsageError
@@ -40,7 +41,7 @@ from sensors.observation import Observation, attach, in_world, merge
 from sensors.reading import Reading
 
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
-_DRAWS, _STARTS, _LOOKED_AT, _FIRST_SWEEPS = 6000, 300, 24, 4
+_LOOKED_AT, _FIRST_SWEEPS = 24, 4
 _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
 _UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
 _ALIVE = 0.4  # share of different poses before an action that needs no moves in the middle of it
@@ -112,14 +113,21 @@ class PoseTrajectoryFilter(PoseFilter):
         return other
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
-        """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves."""
+        """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves.
+
+        Without a view draws of the prior.
+        """
         random, own = one(generator), self.own
+        if self.prior is not None:
+            unseen = of_prior(self.prior, memory, self.model, own, random)
+            flat = torch.zeros(own.particles, dtype=torch.float64)
+            return self.belief_of(unseen, normalise(flat), belief.world_T_attached, belief.log_weights)
         fitted = se3.to_planar(belief.world_T_object.double())
         view = standing(memory, fitted, self.model, own)
         history = History.empty() if view is None else History.empty().appended(view)
         if own.first_particles and view is not None:
             fitted = torch.cat((fitted, all_round(fitted, history, self.model, own)))
-        draws = max(_DRAWS // len(fitted), 1)
+        draws = max(DRAWS // len(fitted), 1)
         spread = fitted.new_tensor([(m, m, rad) for m, rad in _SPREADS])
         scale = spread[torch.arange(draws * len(fitted)) % len(spread)]
         start = fitted.repeat(draws, 1) + scale * normal(scale.shape, generator=random, dtype=torch.float64)
@@ -128,7 +136,7 @@ class PoseTrajectoryFilter(PoseFilter):
         drawn = drawn.replayed(self.model, own, history, torch.zeros(len(start), dtype=torch.long))
         proposal = torch.stack([start_density(start, fitted, s) for s in spread]).logsumexp(0)
         log_weights = drawn.log_likelihood.sum(-1) - proposal
-        starts = start[resample_systematic(log_weights, _STARTS, generator=random)]
+        starts = start[resample_systematic(log_weights, STARTS, generator=random)]
         drawn = replace(drawn.at(resample_systematic(log_weights, own.particles, generator=random)), starts=starts)
         moves = Moves(self.model, own, random)
         for _ in range(_FIRST_SWEEPS):
@@ -174,7 +182,8 @@ class PoseTrajectoryFilter(PoseFilter):
         spans: list[int] = []
         touched = self._pushes(now, log_weights, reading, path)
         if touched:
-            now, spans = self._touched(now, log_weights, cut(reading, own), reading, path, random)
+            parts = cut(reading, own, self.model.lifted(reading.tool_pose))
+            now, spans = self._touched(now, log_weights, parts, reading, path, random)
             log_weights, resampled = normalise(log_weights.new_zeros(len(now))), True
         rides = self._ridden(now, spans, len(reading.in_contact))
         stood = reading.observation if not touched else seen_besides(reading, self.model, own)
@@ -196,6 +205,9 @@ class PoseTrajectoryFilter(PoseFilter):
             return True
         if self._leans(now, log_weights):
             return True
+        path = path[~self.model.lifted(reading.tool_pose)]
+        if not len(path):
+            return False
         looked = systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))
         if float(torch.cdist(path[:, 1, :2], now.pose[looked, :2]).min()) >= self.model.reach_m:
             return False
@@ -227,29 +239,21 @@ class PoseTrajectoryFilter(PoseFilter):
         """
         felt, spans = felt_pads(reading, self.model, self.own), list[int]()
         if self.own.first_particles > len(now) and len(now.starts) and not len(now.history.moving()):
-            now = self._drawn_again(now, random)
+            now = drawn_again(now, self.model, self.own, random)
             log_weights = normalise(now.pose.new_zeros(len(now)))
+        lifted = self.model.lifted(reading.tool_pose)
+        level = [place for place, instants in enumerate(parts) if not bool(lifted[instants[0]])]
         for place, instants in enumerate(parts):
+            if place not in level:
+                now, log_weights, _ = self._weighed(now, log_weights, above(path[instants]), random)
+                spans.append(len(instants))
+                continue
             tracks = self._tracks(now, log_weights, path[instants])
             segment = pushed(reading, instants, path, felt, tracks, self.model, self.own)
-            closes = place == len(parts) - 1
+            closes = place == level[-1]
             now = self.absorbed(now, log_weights, segment, random, opens=not spans, closes=closes)
             log_weights, spans = normalise(now.pose.new_zeros(len(now))), [*spans, len(instants)]
         return now, spans
-
-    def _drawn_again(self, now: Trajectories, random: torch.Generator) -> Trajectories:
-        """More particles, equally weighted, of an object that nothing has pushed yet: importance sampling."""
-        own = self.own
-        rows = torch.randint(len(now.starts), (_DRAWS,), generator=random)
-        start = now.starts[rows].clone()
-        scale = start.new_tensor(KERNEL)
-        start[:, :3] += scale * normal((_DRAWS, 3), generator=random, dtype=torch.float64)
-        errors = normal((_DRAWS, NUMBERS), generator=random, dtype=torch.float64) if own.systematic else None
-        drawn = Trajectories.drawn(start, now.history, random, now.starts, systematic=errors)
-        drawn = replace(drawn, log_evidence=now.log_evidence)
-        drawn = drawn.replayed(self.model, own, now.history, torch.zeros(_DRAWS, dtype=torch.long))
-        log_weights = drawn.log_likelihood.sum(-1) - start_density(start, now.starts, scale)
-        return drawn.at(resample_systematic(log_weights, own.first_particles, generator=random))
 
     def _poses(self, now: Trajectories, log_weights: Tensor) -> Float[Tensor, "n D"]:
         """Poses by which points are chosen that tell."""

@@ -76,6 +76,17 @@ class Pushed(Protocol):
         """Whether each moves as soon as the tool does, touched or not."""
         ...
 
+    def lifted(self, tool_pose: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K"]:
+        """Whether the tool is so high that it pushes nothing, where its path does not say so."""
+        ...
+
+    def middle(self, tool: Float[Tensor, "k T"]) -> Float[Tensor, "k 3"] | None:
+        """Points on the axis of an upright, round tool at some of its poses, heights counted as those of points.
+
+        None of another tool.
+        """
+        ...
+
     def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K T"]:
         """What counts of the tool's poses, without jumps."""
         ...

@@ -22,6 +22,8 @@ from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
 
+_ROUND_M = 1e-4  # by which a circle may differ from one
+_ABOVE_M = 1e-3  # that a lifted tool is above the object
 _GROUP = 8  # points of the tool's border that the compiled version leaves out together
 
 
@@ -88,6 +90,12 @@ class PushedObject:
         """Distance from the tool's origin beyond which nothing is touched."""
         return float(self.tool.norm(dim=-1).max()) + self.outline.radius
 
+    @functools.cached_property
+    def round_m(self) -> float | None:
+        """Radius of the tool about its origin; None where its section is no circle."""
+        radius = self.tool.norm(dim=-1)
+        return float(radius.mean()) if float(radius.amax() - radius.amin()) < _ROUND_M else None
+
     @property
     def extent_m(self) -> tuple[float, float, float]:
         """How far its surface is from its place sideways, and how low and how high, at most."""
@@ -111,6 +119,17 @@ class PushedObject:
     def unsettled(self, poses: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
         """Never: it stands upright."""
         return torch.zeros(len(poses), dtype=torch.bool)
+
+    def lifted(self, tool_pose: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K"]:
+        """Whether the tool's frame is above the object."""
+        return tool_pose[:, 2, 3].double() > max(self.height_m, self.resting_m + self.extent_m[2]) + _ABOVE_M
+
+    def middle(self, tool: Float[Tensor, "k 3"]) -> Float[Tensor, "k 3"] | None:
+        """Points on the axis of a round tool at the height at which it pushes; None of another tool."""
+        if self.round_m is None:
+            return None
+        height = torch.full_like(tool[:, :1], self.height_m - self.resting_m)
+        return torch.cat((tool[:, :2], height), -1)
 
     def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K 3"]:
         """What counts of the tool's poses: (x, y, yaw)."""

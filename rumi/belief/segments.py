@@ -1,5 +1,7 @@
 """Segments of a history from a reading: what pads felt and did not feel, what was seen, what was free."""
 
+import itertools
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -57,22 +59,33 @@ def standing(
     return Segment(still, False, points, torch.zeros(len(points), dtype=torch.long), kinds, weights.double())
 
 
-def cut(reading: Reading, own: PoseTrajectorySettings) -> list[Int[Tensor, "k"]]:
-    """Instants of each segment of an action: what is before contact, a few at a time, and what is after it."""
+def cut(
+    reading: Reading, own: PoseTrajectorySettings, lifted: Bool[Tensor, "K"] | None = None
+) -> list[Int[Tensor, "k"]]:
+    """Instants of each segment of an action: what is before contact, a few at a time, and what is after it.
+
+    A segment has the tool lifted throughout, or nowhere.
+    """
     touched, count = reading.in_contact.nonzero()[:, 0], len(reading.in_contact)
-    if not len(touched):
-        return [torch.arange(count)]
-    first, last = int(touched[0]), int(touched[-1])
-    parts = [torch.arange(0, first)]
-    parts += [torch.arange(at, min(at + own.instants, last + 1)) for at in range(first, last + 1, own.instants)]
-    parts.append(torch.arange(last + 1, count))
-    return [part for part in parts if len(part)]
+    bounds = {0, count}
+    if lifted is not None:
+        bounds |= {*(lifted.int().diff().nonzero()[:, 0] + 1).tolist()}
+    if len(touched):
+        first, last = int(touched[0]), int(touched[-1])
+        bounds |= {*range(first, last + 1, own.instants), last + 1}
+    ordered = sorted(bounds)
+    return [torch.arange(low, high) for low, high in itertools.pairwise(ordered)]
 
 
 def path_of(reading: Reading, model: Pushed) -> Float[Tensor, "K 2 T"]:
-    """Where the tool was before and after each instant; the way to the first one is not reported."""
-    tool = model.path(reading.tool_pose)
-    return torch.stack((torch.cat((tool[:1], tool[:-1])), tool), 1)
+    """Where the tool was before and after each instant; the way to the first one is not reported.
+
+    Nor is that of an instant to which it is lowered: from above it pushes nothing.
+    """
+    tool, lifted = model.path(reading.tool_pose), model.lifted(reading.tool_pose)
+    before = torch.cat((tool[:1], tool[:-1]))
+    lowered = torch.cat((lifted[:1], lifted[:-1])) & ~lifted
+    return torch.stack((torch.where(lowered[:, None], tool, before), tool), 1)
 
 
 def felt_pads(reading: Reading, model: Pushed, own: PoseTrajectorySettings) -> Bool[Tensor, "K m"]:
@@ -90,8 +103,13 @@ def felt_pads(reading: Reading, model: Pushed, own: PoseTrajectorySettings) -> B
 
 
 def seen_besides(reading: Reading, model: Pushed, own: PoseTrajectorySettings) -> Observation:
-    """Surface points of an action's last instant that the pads are not at: what a camera saw then."""
+    """Surface points of an action's last instant that the pads are not at: what a camera saw then.
+
+    None where a wrench tells points that may be off the tool.
+    """
     there = reading.observation
+    if own.lone:
+        return there[torch.zeros(0, dtype=torch.long)]
     last = there.of_class(Semantics.SURFACE) & (reading.instant == len(reading.in_contact) - 1)
     back = se3.apply(se3.inverse(reading.tool_pose[-1].double()), there.points[last].double())
     apart = torch.cdist(back, model.reported).amin(-1) >= _OWN * own.pad_spacing_m
@@ -123,6 +141,8 @@ def pushed(
     places = _from_origin(se3.apply(reading.tool_pose[instants].double(), some), model)
     bits = felt[instants][:, ::stride]
     tells = bits | (_distance(model, tracks.movedim(1, 0), places).amin(1) < _NEAR_M)
+    if own.lone:
+        tells &= ~reading.in_contact[instants][:, None]
     at, which = tells.nonzero(as_tuple=True)
     kept, counts = _thinned(len(at), own.most[3])
     at, which = at[kept], which[kept]
@@ -133,15 +153,42 @@ def pushed(
         kind = torch.where(silent[at, pad[::stride][which]], int(Kind.PAD_SILENT), kind)
     pads = places[at, which], at, kind, own.pad_weight * stride * counts * fresh[at]
     at, which = felt[instants].nonzero(as_tuple=True)
+    if own.lone:
+        at, there = _touches(reading, instants, path, model)
+    else:
+        there = _from_origin(
+            se3.apply(reading.tool_pose[instants[at]].double(), model.pads[which][:, None])[:, 0], model
+        )
     kept, counts = _thinned(len(at), own.most[2])
-    each = fresh * own.felt_weight * counts / felt[instants].sum(-1).clamp_min(1).double()
-    at, which = at[kept], which[kept]
-    there = se3.apply(reading.tool_pose[instants[at]].double(), model.pads[which][:, None])[:, 0]
-    touched = _from_origin(there, model), at, torch.full((len(at),), int(Kind.FELT)), each[at]
+    each = fresh * own.felt_weight * counts / torch.bincount(at, minlength=len(instants)).clamp_min(1).double()
+    at, there = at[kept], there[kept]
+    touched = there, at, torch.full((len(at),), int(Kind.FELT)), each[at]
     points, instant, kinds, weights = (torch.cat(part) for part in zip(pads, touched, strict=True))
     order = (2 * instant + (kinds == Kind.PAD_SILENT)).argsort(stable=True)  # what is silent comes last
     force = _mean_force(reading, instants, path, own)
     return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order], force)
+
+
+def _touches(
+    reading: Reading, instants: Int[Tensor, "k"], path: Float[Tensor, "K 2 T"], model: Pushed
+) -> tuple[Int[Tensor, "M"], Float[Tensor, "M 3"]]:
+    """Touched points of some instants, each by its place among them: the middle of a round tool, else as reported.
+
+    They are no higher or lower than the object is.
+    """
+    _, low, high = model.extent_m
+    middle = model.middle(path[instants, 1])
+    if middle is not None:
+        at = reading.in_contact[instants].nonzero()[:, 0]
+        there = middle[at]
+    else:
+        which = torch.full((len(reading.in_contact),), -1)
+        which[instants] = torch.arange(len(instants))
+        at = which[reading.instant]
+        some = (reading.observation.of_class(Semantics.SURFACE) & (at >= 0)).nonzero()[:, 0]
+        some = some[at[some].argsort(stable=True)]
+        at, there = at[some], _from_origin(reading.observation.points[some].double(), model)
+    return at, torch.cat((there[:, :2], there[:, 2:].clamp(low, high)), -1)
 
 
 def _fresh(path: Float[Tensor, "K 2 T"], own: PoseTrajectorySettings) -> Float[Tensor, "K"]:
@@ -174,6 +221,13 @@ def _mean_force(
         return None
     sure = 1.0 / (1.0 + (own.force_n / (size * own.force_rad)) ** 2)
     return torch.cat((force[:2], own.force_per_m * sure * way.sum()[None]))
+
+
+def above(path: Float[Tensor, "k 2 T"]) -> Segment:
+    """Instants at which a lifted tool neither pushes nor senses."""
+    none = torch.zeros(0, dtype=torch.long)
+    points: Float[Tensor, "0 3"] = torch.zeros(0, 3, dtype=torch.float64)
+    return Segment(path, False, points, none, none, points[:, 0])
 
 
 def until_felt(segment: Segment) -> Segment | None:

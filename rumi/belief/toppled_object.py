@@ -118,6 +118,14 @@ class ToppledObject:
         """Whether each leans on the tool."""
         return poses[:, 4] >= 0
 
+    def lifted(self, tool_pose: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K"]:
+        """Never: its path tells how high it is."""
+        return torch.zeros(len(tool_pose), dtype=torch.bool)
+
+    def middle(self, tool: Float[Tensor, "k 4"]) -> Float[Tensor, "k 3"] | None:
+        """None: its tool is no rod."""
+        return None
+
     def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K 4"]:
         """(x, y, yaw, z) of the tool."""
         there = tool_pose.double()

@@ -158,8 +158,8 @@ class Moves:
         return given.put(rows, self.accepted(some, proposed, history, first, odds))
 
     def _start_prior(self, given: Trajectories) -> Float[Tensor, "N"] | float:
-        """Log-density of the start poses, up to a constant: even."""
-        return 0.0
+        """Log-density of the start poses, up to a constant: even, where a view told of them."""
+        return 0.0 if given.first is None else given.first.planar_log_density(given.poses[:, 0])
 
     def accepted(
         self,

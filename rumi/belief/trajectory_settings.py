@@ -89,6 +89,8 @@ class PoseTrajectorySettings:
         missed: share of a pad's instants in which all of it feels nothing, whatever is there.
         dead: share of the pads' points that never feel.
         false: share of a pad's instants in which it feels what is not there.
+        lone: a touch is told as a point, as a wrench tells it, whose height is uncertain, and nothing of what the rest
+            of the tool feels meanwhile.
         tool_off_m, tool_off_rad: deviations of where the tool is taken to be in a run, along each axis, and of its yaw.
         worn: mean and deviation of how much deeper the object's surface lies than its model's, in metres.
         view_off_m: deviation of where a camera has the object in a run, along each axis.
@@ -148,6 +150,7 @@ class PoseTrajectorySettings:
     missed: float = 0.0
     dead: float = 0.0
     false: float = 0.0
+    lone: bool = False
     tool_off_m: float = 0.0
     tool_off_rad: float = 0.0
     worn: tuple[float, float] = (0.0, 0.0)

@@ -17,6 +17,7 @@ from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import rotated
 from rumi.seeding import normal, uniform
 from sdf import se3
+from sdf.so3 import wrap
 
 KNOCKS = ((0.004, 0.06), (0.015, 0.25), (0.04, 0.8))
 """Deviations of a jump, one of which it has: metres along each level axis, radians of the turn."""
@@ -35,6 +36,8 @@ def from_prior(prior: PosePrior, count: int, random: torch.Generator) -> Float[T
     place = prior.mean.double() + prior.spread_m * normal((count, 2), generator=random, dtype=torch.float64)
     way = (share[:, 1] * len(prior.ways)).floor().clamp_max(len(prior.ways) - 1.0)
     yaw = math.pi * (2.0 * share[:, 0] - 1.0)
+    if prior.yaw is not None:
+        yaw = wrap(prior.yaw[0] + prior.yaw[1] * normal((count,), generator=random, dtype=torch.float64))
     return torch.cat((place, torch.stack((yaw, way, 0.0 * way - 1.0, 0.0 * way), -1)), -1)
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rumi.rosbag.mapping import BagMap
     from rumi.runs.recorded import RunLog
     from rumi.runs.replay import Recorded
+    from rumi.tasks.rummage.agent import Rummager
     from rumi.tasks.rummage.settings import Settings
     from sensors.log.reader import Log, Taken
 
@@ -239,6 +240,10 @@ def _replay(
         say(problem)
     if scene is not None:
         agent = agent_of_imported(scene, settings, taken, cache_dir)
+        if mapping is not None:
+            from rumi.rosbag.in_plane import in_plane
+
+            taken = in_plane(cast("list[Taken]", taken), cast("Rummager", agent))
     else:
         agent = entry.agent(settings, cache_dir=cache_dir)
     _check_object(log, agent)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.errors import UsageError
@@ -21,6 +21,8 @@ from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchSetting
 from sensors.force.tool_load import ToolLoad
 from sensors.log.reader import Log, Sample, Stream
 from sensors.reading import FORCE
+
+_WAY_S = 0.05  # over which a tool's way is looked at
 
 
 def contact_samples(log: Log, mapping: BagMap, frames: FrameTree, span: Span) -> ContactSamples:
@@ -110,10 +112,13 @@ def _wrench_contacts(
     pose = pose[known]
     wrench = torch.stack([wrench_of(one) for one in samples]) if samples else torch.zeros(0, 6, dtype=torch.float64)
     load = _load(stream, config, wrench, pose, samples, span.start_ns, problems)
+    wrench = smoothed(wrench, torch.tensor([one.stamp_ns for one in samples]), config.smooth_s)
     contact = read_wrenches(wrench, pose, load, mapping)
     forces = force_on_tool(wrench, pose, load, mapping).float()
     for name in WrenchStatus:
         counted[name.name.lower()] = counted.get(name.name.lower(), 0) + int((contact.status == int(name)).sum())
+    if config.level:
+        return _level_contacts(samples, forces, contact.status != int(WrenchStatus.NONE), mapping, frames)
     kept = (contact.status == int(WrenchStatus.CONTACT)).nonzero()[:, 0]
     possible = (contact.status <= int(WrenchStatus.CONTACT)).tolist()
     touches, place = WrenchTouch.of(contact, pose, kept), {k: n for n, k in enumerate(kept.tolist())}
@@ -131,6 +136,46 @@ def _wrench_contacts(
         sample(k, one.stamp_ns, status != int(WrenchStatus.NONE))
         for k, (one, status) in enumerate(zip(samples, contact.status.tolist(), strict=True))
     ]
+
+
+def _level_contacts(
+    samples: Sequence[Sample],
+    forces: Float[Tensor, "K 3"],
+    touched: Bool[Tensor, "K"],
+    mapping: BagMap,
+    frames: FrameTree,
+) -> list[ContactSample]:
+    """Contact samples of an upright rod at the height of the tool's frame; those of which that is unknown are none.
+
+    What is pushed resists: a force along the rod's way is of the rod itself, as it brakes.
+    """
+    assert mapping.wrench is not None and mapping.wrench.radius_m is not None
+    stamps = torch.tensor([one.stamp_ns for one in samples], dtype=torch.long)
+    tool, known = frames.at(mapping.frames.tool, stamps)
+    half = round(0.5e9 * max(mapping.wrench.smooth_s, _WAY_S))
+    (begin, begun), (end, ended) = (frames.at(mapping.frames.tool, stamps + off) for off in (-half, half))
+    way = torch.where((begun & ended)[:, None], end[:, :2, 3] - begin[:, :2, 3], 0.0).float()
+    touched = touched & ((way * forces[:, :2]).sum(-1) <= 0.0)
+    beside = torch.nn.functional.pad(forces[:, :2], (0, 1))
+    points = tool[:, :3, 3].float() - mapping.wrench.radius_m * torch.nn.functional.normalize(beside, dim=-1)
+    return [
+        ContactSample(one.stamp_ns, point[None] if felt else no_points(), felt, measurements={FORCE: force})
+        for one, point, felt, force, there in zip(
+            samples, points, touched.tolist(), forces, known.tolist(), strict=True
+        )
+        if there
+    ]
+
+
+def smoothed(wrench: Float[Tensor, "K 6"], stamps_ns: Int[Tensor, "K"], seconds: float) -> Float[Tensor, "K 6"]:
+    """Means of the wrenches within half of some time of each; rising stamps."""
+    if not seconds > 0 or not len(wrench):
+        return wrench
+    half = round(0.5e9 * seconds)
+    first = torch.searchsorted(stamps_ns, stamps_ns - half)
+    behind = torch.searchsorted(stamps_ns, stamps_ns + half, right=True)
+    total = torch.cat((torch.zeros_like(wrench[:1]), wrench.cumsum(0)))
+    return (total[behind] - total[first]) / (behind - first)[:, None]
 
 
 def read_wrenches(

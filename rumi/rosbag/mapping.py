@@ -131,6 +131,7 @@ class SceneMap(Checked):
         tool_seen: the camera sees the gripper: what is near its shape is left out of views.
         prior_mean_m, prior_spread_m: x and y that the object's origin is known to be about, and the standard deviation
             along each: where no camera sees it.
+        prior_yaw_deg, prior_yaw_spread_deg: the same of its yaw; without it any yaw.
         clear_m: the tool's body is known to be free but for what is this near to a felt point.
     """
 
@@ -141,12 +142,16 @@ class SceneMap(Checked):
     tool_seen: bool = False
     prior_mean_m: tuple[float, float] | None = None
     prior_spread_m: float = 0.05
+    prior_yaw_deg: float | None = None
+    prior_yaw_spread_deg: Positive = 5.0
     clear_m: float = 0.01
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not all(low < high for low, high in zip(*self.within, strict=True)):
             raise ValueError(f"expected within to be a lower and an upper corner, got {self.within}")
+        if self.prior_yaw_deg is not None and self.prior_mean_m is None:
+            raise ValueError("expected prior_mean_m, the object's place, with prior_yaw_deg, got none")
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Parts of a run on an imported recording, as its mapping describes them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +11,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel, SignalSettings
+from rumi.belief.motion import Motion
+from rumi.belief.pushed_prior import as_believed, where_default
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.outline import support_of
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
-from rumi.rosbag.mapping import BagMap
+from rumi.rosbag.mapping import BagMap, SceneMap
 from rumi.tasks.registry import IMPORTED
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings, own_model
@@ -23,6 +28,9 @@ from sdf.base import SDF
 from sensors.evidence import EvidenceModel
 from sensors.reading import Reading
 
+# trajectories by a wrench on a hard rod: what it feels it feels at its surface, while it is on the way, and not always
+_OF_ROD: dict[str, Any] = {"lone": True, "fresh_m": 0.003, "pad_m": 0.0, "pad_slope_m": 0.001, "missed": 0.2}
+_DRIFT_N = 0.1  # of a mean force, at least: its zero is off by what the tool was held with while it was tared
 _MARGIN = 0.1  # metres about where the object and the tool are, for the workspace
 _BELOW_TOP = 0.95  # of an object's height, above which a tool cannot meet it
 
@@ -31,7 +39,8 @@ def settings_of(mapping: BagMap) -> Settings:
     """The settings that a mapping asks for, on top of those of its preset.
 
     Where the mapping names no motion, the object's is "measured" if a frame rides with it; else it is that of
-    `filter.unmeasured`, else "corrected", or in space "estimated".
+    `filter.unmeasured`, else "trajectory" where a prior is followed by the touches of an upright rod with a force
+    sensor, else "corrected", or in space "estimated".
 
     Raises:
         UsageError: it has some that there are not, or that a recording has no use for.
@@ -43,10 +52,30 @@ def settings_of(mapping: BagMap) -> Settings:
     start = to_dict(preset(str(asked.get("preset", "default"))))
     settings = from_dict({**_merged(start, asked), "task": IMPORTED})
     if "motion" not in asked.get("filter", {}):
-        unmeasured = (settings.filter.unmeasured or "corrected") if mapping.scene.search == "SE(2)" else "estimated"
-        motion = unmeasured if mapping.frames.motion is None else "measured"
+        motion = _unmeasured(mapping, settings) if mapping.frames.motion is None else "measured"
         settings = replace(settings, filter=replace(settings.filter, motion=motion))
+    settings = replace(settings, filter=replace(settings.filter, trajectories=_trajectories(mapping, settings)))
     return replace(settings, object=mapping.object)
+
+
+def _unmeasured(mapping: BagMap, settings: Settings) -> Motion:
+    """The motion by which an object is followed that no frame rides with."""
+    if mapping.scene.search != "SE(2)":
+        return "estimated"
+    if settings.filter.unmeasured is not None:
+        return settings.filter.unmeasured
+    scene, further = mapping.scene, mapping.signals_count or bool(settings.filter.evidence)
+    felt = mapping.wrench is not None and mapping.wrench.level and not further
+    unseen = scene.prior_mean_m is not None and not scene.looks_again
+    return "trajectory" if felt and unseen and settings.device == "cpu" else "corrected"
+
+
+def _trajectories(mapping: BagMap, settings: Settings) -> PoseTrajectorySettings:
+    """The settings of trajectories; where a rod's wrench alone tells of touches, its own for those at defaults."""
+    own, wrench = settings.filter.trajectories, mapping.wrench
+    if wrench is None or not wrench.level or settings.filter.motion != "trajectory":
+        return own
+    return where_default(own, replace(own, **_OF_ROD, force_n=max(wrench.force_n, _DRIFT_N)))
 
 
 def rummager_of_map(
@@ -88,21 +117,38 @@ def rummager_of_map(
         height = float(places[:, 2].mean()) if touching_m is None else touching_m
         height = settings.tool_height_m or height
         workspace = Workspace.from_bounds(bounds, 0.01, planar_height=min(height, _BELOW_TOP * (high - low)))
+    if settings.filter.trajectories.lone and not spatial:
+        own = settings.filter.trajectories
+        own = where_default(own, as_believed(own, support_of(model.sdf).spread))
+        settings = replace(settings, filter=replace(settings.filter, trajectories=own))
     made = rummager(
         model,
         workspace,
         tool=mapping.tool.shape(),
-        prior=None if scene.prior_mean_m is None else PriorSpec(scene.prior_mean_m, scene.prior_spread_m),
+        prior=_prior(scene),
         search=scene.search,
         looks_again=scene.looks_again,
         plans=False,
         settings=replace(settings, object=ObjectSettings(), tool_height_m=None),
     )
+    if made.filter.settings.motion == "trajectory":
+        if mapping.touches_count or mapping.signals_count:
+            made.filter.with_evidence()
+        return made
     models = contact_models(mapping, made.filter.discrepancy.sdf)
     # contacts count as the mapping says, other sensors as the settings do
     contacts = (ContactPointModel, ContactSignalModel)
     others = [model for model in made.filter.further if not isinstance(model, contacts)]
     return replace(made, filter=made.filter.with_evidence(*models, *others))
+
+
+def _prior(scene: SceneMap) -> PriorSpec | None:
+    if scene.prior_mean_m is None:
+        return None
+    yaw = None
+    if scene.prior_yaw_deg is not None:
+        yaw = math.radians(scene.prior_yaw_deg), math.radians(scene.prior_yaw_spread_deg)
+    return PriorSpec(scene.prior_mean_m, scene.prior_spread_m, yaw)
 
 
 def touching_height(readings: Sequence[Reading]) -> float | None:

@@ -52,6 +52,10 @@ class WrenchMap(Checked):
         mass_kg: of all that hangs from the sensor.
         mass_center_m: its centre of mass in the sensor's frame.
         tare_s: seconds at the start, without contact, from which the bias is taken anew; 0 to take it as given.
+        smooth_s: seconds over which wrenches are averaged, half before and half after each: a tool in motion shakes,
+            and what it pushes sticks and slips.
+        level: touches of an upright rod are at the height of the tool's frame, on the side that the force comes from:
+            where small moments, or those of a tool in motion, do not tell how high they are.
         reaction: the driver reports what the tool does to the world.
         force_n, moment_nm: standard deviations of the noise.
         least_force_n, friction: see `sensors.force.force_torque.WrenchSettings`.
@@ -75,6 +79,8 @@ class WrenchMap(Checked):
     mass_kg: float = 0.0
     mass_center_m: Vector = (0.0, 0.0, 0.0)
     tare_s: float = 0.0
+    smooth_s: NotNegative = 0.0
+    level: bool = False
     reaction: bool = False
     force_n: float = 0.1
     moment_nm: float = 0.005
@@ -91,6 +97,8 @@ class WrenchMap(Checked):
         if (self.radius_m is None) == (self.mesh is None):
             raise ValueError("expected either radius_m, of a ball or a rod, or mesh, a file of another tool's shape")
         check_rod(self.radius_m, self.rod_m)
+        if self.level and (self.rod_m is None or self.likelihood):
+            raise ValueError("expected level with rod_m, the ends of a rod's axis, and without likelihood")
 
     def tool(self) -> ToolSurface:
         """In the sensor's frame.

@@ -1,6 +1,7 @@
 """A mapping file to begin with, from the topics, types, frames, poses and wrenches that a bag has."""
 
 import json
+import math
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,7 @@ from rumi.rosbag.mapping_file import SCHEMA
 from rumi.rosbag.messages import CONVERTERS, POSES
 from rumi.rosbag.recording_source import Source, source_of
 from rumi.rosbag.source import BagError
+from rumi.rosbag.suggest_forces import forces_of, lines_of
 from rumi.rosbag.suggest_geometry import Geometry, Rod, rod_of, tracked_frame
 
 _TF = "tf2_msgs/msg/TFMessage"
@@ -32,6 +34,8 @@ _ABOUT_M = 0.1  # about the tool's way and the object's first place, that the ob
 _HIGH_M = 0.3  # over the floor
 _OVER_FLOOR_M = 0.01  # that the tool is at its lowest
 _TRACKER_M = 0.01  # by which a tracker tells the first place
+_TRACKER_DEG = 5.0  # and the first turn
+_UPRIGHT = math.cos(math.radians(15.0))  # of a rod's axis
 _READINGS = 12  # that a recording is cut into at least
 
 _UNKNOWN_TOOL = (
@@ -115,7 +119,8 @@ def _geometry(found: _Found, names: list[str], tool: str, world: str, twice: dic
     places = poses[:, :3, 3]
     if rod is not None:
         places = places + (poses[:, :3, :3] @ rod.end_t)
-    at = geometry.poses(tracked, world)[1][:1, :3, 3] if tracked is not None else torch.zeros(0, 3)
+    block = geometry.poses(tracked, world)[1][:1] if tracked is not None else torch.zeros(0, 4, 4)
+    at = block[:, :3, 3]
     frames = sorted({*geometry.parents, *geometry.parents.values(), *names})
     ends_apart = rod is not None and not rod.ends_at_tool
     lines = [
@@ -129,13 +134,17 @@ def _geometry(found: _Found, names: list[str], tool: str, world: str, twice: dic
         *(_fixed(tool, rod) if rod is not None and ends_apart else ()),
         "[scene]",
         _within(places, at),
-        *(() if any(kind in _VIEWS for _, kind in found.count) else _prior(places, at)),
+        *(() if any(kind in _VIEWS for _, kind in found.count) else _prior(places, block)),
         "",
         "[object]",
         '# mesh = "object.stl"  # TODO, or in [scene] builtin = "mug", or rumi replay --mesh object.stl',
         "",
     ]
-    lines += _rod(rod) if rod is not None else (*_UNKNOWN_TOOL, *(_UNKNOWN_SURFACE if wrenches else ()))
+    if rod is not None:
+        forces = forces_of(geometry.wrenches[wrenches[0]], stamps, places)
+        lines += [*_rod(rod), *lines_of(forces, upright=_is_upright(rod, poses))]
+    else:
+        lines += (*_UNKNOWN_TOOL, *(_UNKNOWN_SURFACE if wrenches else ()))
     every = _every_s(stamps.tolist())
     return [*lines, "[actions]", f"every_s = {every:g}  # of a reading", ""]
 
@@ -241,10 +250,16 @@ def _within(places: Float[Tensor, "n 3"], at: Float[Tensor, "m 3"]) -> str:
     return f"within = [{corners}]  # TODO a box about the object, metres, over the floor"
 
 
-def _prior(places: Float[Tensor, "n 3"], at: Float[Tensor, "m 3"]) -> list[str]:
+def _prior(places: Float[Tensor, "n 3"], block: Float[Tensor, "m 4 4"]) -> list[str]:
     """Lines of where the object is at first, where no camera sees it."""
-    if len(at):
-        (x, y), spread, why = at[0, :2].tolist(), _TRACKER_M, "where the tracker saw it first"
+    turn = []
+    if len(block):
+        (x, y), spread, why = block[0, :2, 3].tolist(), _TRACKER_M, "where the tracker saw it first"
+        yaw = math.degrees(math.atan2(float(block[0, 1, 0]), float(block[0, 0, 0])))
+        turn = [
+            f"prior_yaw_deg = {yaw:.1f}  # TODO its turn about z at first, as the tracker has it",
+            f"prior_yaw_spread_deg = {_TRACKER_DEG:g}  # TODO standard deviation of that",
+        ]
     elif len(places):
         low, high = places.amin(0), places.amax(0)
         (x, y), why = (0.5 * (low + high))[:2].tolist(), "the middle of the tool's way"
@@ -254,6 +269,7 @@ def _prior(places: Float[Tensor, "n 3"], at: Float[Tensor, "m 3"]) -> list[str]:
     return [
         f"prior_mean_m = [{x:.3f}, {y:.3f}]  # TODO where it is at first: {why}",
         f"prior_spread_m = {spread:.2f}  # TODO standard deviation of that",
+        *turn,
     ]
 
 
@@ -269,8 +285,13 @@ def _rod(rod: Rod) -> list[str]:
         radius,
         f"rod_m = [[0.0, 0.0, 0.0], {_vector(rod.end_s)}]",
         "tare_s = 0.3  # seconds at the start in which nothing touches",
-        "",
     ]
+
+
+def _is_upright(rod: Rod, poses: Float[Tensor, "n 4 4"]) -> bool:
+    """Whether the rod stands on end all the time."""
+    axis = torch.nn.functional.normalize(rod.sensor_t - rod.end_t, dim=-1)
+    return bool(len(poses)) and float((poses[:, 2, :3] @ axis.to(poses)).abs().median()) > _UPRIGHT
 
 
 def _every_s(stamps_ns: list[int]) -> float:

@@ -1,7 +1,6 @@
 """Real pushes of a square through the trajectory filter, from a start that is roughly known, by contact and force."""
 
 import math
-from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -11,6 +10,7 @@ from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.pushed_prior import as_believed
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -45,23 +45,9 @@ def motion_of(
     believed: PushPosterior, body: PushedBody, own: PoseTrajectorySettings
 ) -> tuple[PoseTrajectorySettings, Float[Tensor, "2"]]:
     """Settings with the motion prior of a push density, and its centre of friction; the limit surface is no part."""
-    weights, spread = believed.log_weights.exp(), body.support.spread
-    mean = weights @ believed.parameters
-    deviation = (weights @ (believed.parameters - mean).square()).sqrt().tolist()
-    scale = float(believed.scale_quantiles((0.5,))[0])
-    share = [scale * part for part in believed.residual.share]
-    settings = replace(
-        own,
-        friction=(math.exp(mean[0]), deviation[0]),
-        lever_ratio=(math.exp(mean[1]), deviation[1]),
-        centre_m=math.sqrt(0.5 * (deviation[6] ** 2 + deviation[7] ** 2)) * spread,
-        along=share[0],
-        across=share[1],
-        turn_rad_per_m=share[2] / spread,
-        m_per_rad=spread,
-        tails=0.25,
-        shared=1.0,
-    )
+    spread = body.support.spread
+    mean = believed.log_weights.exp() @ believed.parameters
+    settings = as_believed(own, spread, believed)
     return settings, body.support.centre + spread * mean[6:]
 
 

@@ -249,7 +249,7 @@ class Rummager:
             self.model,
             moved=moved,
             upright=self.upright,
-            pads=self._pads,
+            pads=None if self.filter.settings.trajectories.lone else self._pads,
             base=self._base if self.upright else None,
             frictions=frictions_of(record.belief, self.filter.settings.trajectories) if self.upright else None,
             body=self._body if self.upright and not self.tool.spatial else None,

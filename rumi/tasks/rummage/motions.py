@@ -194,6 +194,9 @@ def trajectory_filter(
         settings = replace(settings, trajectories=settings.trajectories.for_others())
     own, systematic = settings.trajectories, settings.stated_errors != "noise" and is_planar(spec)
     own = as_inexact(own, simulator, model.sdf.bounds) if systematic else as_accurate(own, simulator)
+    prior = prior_of(spec, model)
+    if is_planar(spec) and prior is not None:
+        own = replace(own, first_particles=max(own.first_particles, _FIRST))
     settings = replace(settings, trajectories=own)
     if is_planar(spec):
         pushed = PushedObject.of(
@@ -204,10 +207,11 @@ def trajectory_filter(
             spacing_m=settings.trajectories.tool_spacing_m,
             pad_spacing_m=spacing,
         )
-        return PoseTrajectoryFilter(settings, discrepancy, pushed)
+        if own.lone:  # a hard tool is felt at its surface, and a round one told by its axis
+            settings = replace(settings, trajectories=replace(own, felt_m=pushed.round_m or 0.0))
+        return PoseTrajectoryFilter(settings, discrepancy, pushed, prior)
     fresh_m = _FRESH_M if own.fresh_m is None else own.fresh_m
     settings = replace(settings, trajectories=replace(own, fresh_m=fresh_m))
-    prior = prior_of(spec, model)
     if prior is None:
         raise UsageError(f"Expected a prior for --filter.motion trajectory in space, got none for {spec.name}")
     toppled = ToppledObject.of(
@@ -246,7 +250,7 @@ def prior_of(spec: TaskSpec, model: ObjectModel) -> PosePrior | None:
     """What is known of the pose before anything is sensed, on the model's device; None where a camera sees it."""
     if spec.prior is None:
         return None
-    return PosePrior.of(spec.prior.mean_m, spec.prior.spread_m, model.sdf.bounds, spec.up)
+    return PosePrior.of(spec.prior.mean_m, spec.prior.spread_m, model.sdf.bounds, spec.up, spec.prior.yaw_rad)
 
 
 def push_posterior_of(planner: PushSettings) -> PushPosterior | None:
@@ -275,8 +279,6 @@ def check_pushing(spec: TaskSpec, settings: Settings) -> None:
         )
     if settings.filter.motion == "trajectory":
         check_trajectory(settings)
-        if is_planar(spec) and spec.prior is not None:
-            raise UsageError("Expected a first view for --filter.motion trajectory to start from, got a prior")
     if is_planar(spec):
         return
     upright, name = spec.search == "SE(2)", settings.planner.push_model

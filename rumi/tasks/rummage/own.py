@@ -49,9 +49,9 @@ def rummager(
         arm: what the arm reaches, such as `rumi.ArmReach.of_urdf` makes it; None for a tool that gets everywhere.
         motion: how the object's motion is known. "measured": every reading must have `object_motion`, and one that
             lacks it is refused. Otherwise nothing measures it: "trajectory" (each particle's own: in the plane after
-            a first view, in space from a prior and by the gripper), "corrected" or "pushed" (a push model, of upright
-            objects and a tool in the plane), "estimated" or "sticking". By default that of the settings, or without
-            settings `unmeasured`.
+            a first view or from a prior, in space from a prior and by the gripper), "corrected" or "pushed" (a push
+            model, of upright objects and a tool in the plane), "estimated" or "sticking". By default that of the
+            settings, or without settings `unmeasured`.
         prior: where the object is about, if the robot does not look at it first.
         up: axes of the object one of which points up where it lies, if the robot does not look at it first.
         search: freedom of the object's pose; by default "SE(3)" for a tool that moves in space.

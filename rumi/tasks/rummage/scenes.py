@@ -47,10 +47,12 @@ class PriorSpec:
     Attributes:
         mean_m: x and y of the object's origin.
         spread_m: standard deviation along x and along y.
+        yaw_rad: its yaw and the standard deviation of that; None for any.
     """
 
     mean_m: tuple[float, float]
     spread_m: float = 0.05
+    yaw_rad: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

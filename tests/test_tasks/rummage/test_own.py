@@ -57,6 +57,12 @@ def test_without_a_word_nothing_is_taken_for_measured(workspace, given, motion, 
     assert rumi.rummager(model, workspace, **given).filter.settings.motion == motion
 
 
+def test_in_the_plane_trajectories_may_begin_from_a_prior(model):
+    prior = PriorSpec((0.5, 0.0), 0.02, (0.3, 0.1))
+    found = rumi.rummager(model, lattice(), motion="trajectory", prior=prior).filter
+    assert found.prior.yaw == (0.3, 0.1) and found.own.first_particles > found.own.particles
+
+
 def test_trajectories_are_surer_of_the_mugs_that_they_are_fitted_to(model):
     fitted = rumi.rummager(mug_model(0.004), lattice()).filter.own
     assert fitted == rumi.preset("default").filter.trajectories
@@ -70,7 +76,6 @@ def test_trajectories_are_surer_of_the_mugs_that_they_are_fitted_to(model):
         ({"settings": rumi.preset("default", simulator=SimSettings(action_scale_m=0.05))}, "action_m"),
         ({"action_m": float("nan")}, "action_m to be a finite number"),
         ({"motion": "corrected", "workspace": lattice(0.03, 0.2)}, "upright objects with a level tool"),
-        ({"motion": "trajectory", "prior": PriorSpec((0.5, 0.0), 0.02)}, "a first view"),
         ({"workspace": lattice(0.5, 0.5)}, "up to the middle of the tool"),
         ({"workspace": lattice(0.01, 0.01)}, "0.012 m below"),
         ({"settings": rumi.preset("default", fault=("knocked:0.02@5",))}, "no faults"),

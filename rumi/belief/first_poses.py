@@ -1,0 +1,75 @@
+"""Particles of an upright object that nothing has pushed yet: draws of a prior, or anew for a first touch."""
+
+from dataclasses import replace
+
+import torch
+
+from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_model import Pushed
+from rumi.belief.segments import standing
+from rumi.belief.systematic_errors import NUMBERS
+from rumi.belief.trajectory_history import History
+from rumi.belief.trajectory_moves import KERNEL, start_density
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.belief.trajectory_starts import from_prior
+from rumi.resampling import resample_systematic
+from rumi.seeding import normal
+from sensors.observation import Observation
+
+DRAWS, STARTS = 6000, 300
+"""Start poses that are drawn and weighed, and those that stand for what they leave open."""
+
+
+def of_prior(
+    prior: PosePrior, memory: Observation, model: Pushed, own: PoseTrajectorySettings, random: torch.Generator
+) -> Trajectories:
+    """Draws of where an object stands that no view shows, weighed by what was free of it.
+
+    Args:
+        prior: of its pose.
+        memory: what was sensed before anything moved.
+        model: object and tool.
+        own: of the filter.
+        random: of the draws.
+    """
+    start = from_prior(prior, DRAWS, random)[:, :3]
+    view = standing(memory, start[:STARTS], model, own)
+    history = History.empty() if view is None else History.empty().appended(view)
+    drawn = replace(Trajectories.drawn(start, history, random, systematic=_errors(own, random)), first=prior)
+    if view is not None:
+        drawn = drawn.replayed(model, own, history, torch.zeros(DRAWS, dtype=torch.long))
+    log_weights = drawn.log_likelihood.sum(-1)
+    starts = start[resample_systematic(log_weights, STARTS, generator=random)]
+    return replace(drawn.at(resample_systematic(log_weights, own.particles, generator=random)), starts=starts)
+
+
+def drawn_again(now: Trajectories, model: Pushed, own: PoseTrajectorySettings, random: torch.Generator) -> Trajectories:
+    """More particles, equally weighted, of an object that nothing has pushed yet: importance sampling.
+
+    Args:
+        now: particles of it.
+        model: object and tool.
+        own: of the filter.
+        random: of the draws.
+    """
+    scale = now.starts.new_tensor(KERNEL)
+    if now.first is None:
+        rows = torch.randint(len(now.starts), (DRAWS,), generator=random)
+        start = now.starts[rows].clone()
+        start[:, :3] += scale * normal((DRAWS, 3), generator=random, dtype=torch.float64)
+    else:
+        start = from_prior(now.first, DRAWS, random)[:, :3]
+    drawn = Trajectories.drawn(start, now.history, random, now.starts, systematic=_errors(own, random))
+    drawn = replace(drawn, log_evidence=now.log_evidence, first=now.first)
+    if len(now.history):
+        drawn = drawn.replayed(model, own, now.history, torch.zeros(DRAWS, dtype=torch.long))
+    log_weights = drawn.log_likelihood.sum(-1)
+    if now.first is None:
+        log_weights = log_weights - start_density(start, now.starts, scale)
+    return drawn.at(resample_systematic(log_weights, own.first_particles, generator=random))
+
+
+def _errors(own: PoseTrajectorySettings, random: torch.Generator) -> torch.Tensor | None:
+    """Standard normals of the systematic errors of as many draws; None where there are none."""
+    return normal((DRAWS, NUMBERS), generator=random, dtype=torch.float64) if own.systematic else None
