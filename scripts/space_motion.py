@@ -7,7 +7,8 @@ python -m scripts.space_motion show --task box --seeds 1000-1009
 An action's evidence is the mean likelihood of its readings over motions of the prior that begin at the true pose, by a
 bootstrap particle filter (nats), and `near` the share of them that ends within 20 mm and 17 degrees of the truth. What
 a motion prior cannot do shows as little evidence, whatever a filter makes of it; compare code on the same recordings.
-Actions that begin while the object leans are left out.
+Where these motions end is a belief too: its own probability of being right, and whether it is, tell whether the prior
+is wide enough. Actions that begin while the object leans are left out.
 """
 
 import math
@@ -23,12 +24,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.bootstrap_filter import BootstrapFilter
+from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, Trajectories
 from rumi.belief.segments import cut, felt_pads, path_of, pushed
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
+from rumi.metrics.calibration import checked
 from rumi.metrics.pose_error import pose_error
 from rumi.resampling import resample_systematic
 from rumi.seeding import generator, normal
@@ -44,6 +47,7 @@ from sensors.reading import Reading
 RESULTS = Path(__file__).parent / "results" / "space_motion.jsonl"
 _PARTICLES, _ABOUT = 1500, (0.0003, 0.0003, 0.003)  # deviations of their starts about the true one
 _NEAR_M, _NEAR_RAD, _LEANS_RAD, _TRACKS = 0.02, 0.3, 0.03, 24
+_EACH, _SURE = 4, 0.95  # one of so many ends stands for the belief; P(right) that counts as sure
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,8 @@ def measured(options: Options, seed: int) -> Figures:
             metres, radians = pose_error(se3.renormalised(poses), before.expand_as(poses), symmetries)
             moved, turned = pose_error(first[None], before[None], symmetries)
             near = (metres < _NEAR_M) & (radians < _NEAR_RAD)
+            within = {"within_m": agent.position_tolerance_m, "within_rad": agent.rotation_tolerance_rad}
+            held = checked(PoseBelief.uniform(poses[::_EACH]), before, symmetries, **within)
             actions.append(
                 {
                     "action": number,
@@ -129,6 +135,8 @@ def measured(options: Options, seed: int) -> Figures:
                     "turned_deg": round(math.degrees(float(turned)), 1),
                     "nats": round(nats, 1),
                     "near": round(float(near.double().mean()), 3),
+                    "p": round(held.p_right, 3),
+                    "right": held.right,
                     "falls": bool(torch.acos((first[2, :3] @ before[2, :3]).clamp(-1.0, 1.0)) > 5.0 * _LEANS_RAD),
                 }
             )
@@ -143,16 +151,22 @@ def main() -> None:
         settings = {"part": options.task, "seed": seed, "label": options.label}
         store.measure(settings, partial(measured, options, seed))
     lines = [line for line in store.of(options.task) if line["seed"] in seeds]
-    out = ["| code | what happened | actions | nats, mean; worst | below -40 | near, mean |", "|-" * 6 + "|"]
+    heads = "code | what happened | actions | nats, mean; worst | below -40 | near, mean"
+    out = [f"| {heads} | P(right), mean; right | sure; wrong |", "|-" * 8 + "|"]
     for label in dict.fromkeys(line["label"] for line in lines):
         every = [action for line in lines if line["label"] == label for action in line["actions"]]
         for name, falls in (("it tilts or falls", True), ("it stays or slides", False)):
             some = [action for action in every if action["falls"] is falls]
             nats, near = [action["nats"] for action in some], [action["near"] for action in some]
             if some:
+                told = [action for action in some if "p" in action]
+                sure = [action for action in told if action["p"] >= _SURE]
+                count = max(1, len(told))
                 out.append(
                     f"| {label} | {name} | {len(some)} | {sum(nats) / len(some):.1f}; {min(nats):.1f} "
-                    f"| {sum(n < -40.0 for n in nats)} | {sum(near) / len(some):.2f} |"
+                    f"| {sum(n < -40.0 for n in nats)} | {sum(near) / len(some):.2f} "
+                    f"| {sum(a['p'] for a in told) / count:.2f}; {sum(a['right'] for a in told) / count:.2f} "
+                    f"| {len(sure)}; {sum(not a['right'] for a in sure)} |"
                 )
     sys.stdout.write("\n".join((*out, "")))
 
