@@ -82,7 +82,7 @@ def test_what_an_island_missed_comes_back_from_the_others_where_a_touch_tells(bo
             belief, memory, _ = followed(belief, memory, reading, generator=generator(number))
         last = islands_of(belief)[2].every
         shares.append(float(((last.pose[:, :2] - torch.tensor([0.01, 0.005])).norm(dim=-1) < 0.015).double().mean()))
-    assert shares[0] < 0.2 and shares[1] > 0.8
+    assert shares[0] < 0.2 and shares[1] > 0.5
 
 
 def test_what_islands_disagree_on_is_not_known(box, prior):

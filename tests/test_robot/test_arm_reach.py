@@ -71,7 +71,7 @@ def test_the_compiled_steps_are_the_plain_ones(six):
         aim = q + control * tool.scale
         left = float(six.residual(q))
         found = interpreted(step_within)(
-            *q[:2].tolist(), 0.0, float(q[2]), *aim[:2].tolist(), 0.0, float(aim[2]), left, *arrays
+            *q[:2].tolist(), 0.0, float(q[2]), *aim[:2].tolist(), 0.0, float(aim[2]), left, arrays
         )
         torch.testing.assert_close(torch.tensor([found[0], found[1], found[3]]).double(), path, atol=1e-6, rtol=0)
 
