@@ -182,9 +182,10 @@ class ToppledObject:
         step = moved - start[:, :3]
         length = step[:, :2].norm(dim=-1)
         size = length + own.m_per_rad * step[:, 2].abs()
-        # a fall leaves it somewhere about where it would lie
+        # what is pushed along slips as the tool moves it, up and down too
         tools_way = (after - before)[[0, 1, 3]].norm()
         size = size + own.slip * tools_way
+        # a fall leaves it somewhere about where it would lie
         size = torch.where(done.fell, size.new_tensor(own.fall_m), size) * (done.slid | done.fell)
         # what leans on the tool slips about as the tool moves it
         size = torch.where(done.state.lying[:, 1] >= 0, own.lean * tools_way, size)

@@ -75,7 +75,8 @@ def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     """The planner's settings with what suits guarded moves in space, where nothing else is asked for.
 
     Plans count on actions that end where they touch, a push costs certainty, and reach is worth less: no action takes
-    the object far. Information is as near to the surface as pads feel it, so that plans touch what is nearly known.
+    the object far. Information is as near to the surface as pads feel it, so that plans touch what is nearly known;
+    a sharpness that is the default one counts as not asked for.
     """
     planner = settings.planner
     if is_planar(spec) or guarded(spec, settings).guarded != "always" or planner.push_model not in (AUTO, _CARRIED):
