@@ -231,6 +231,12 @@ def _gone(dx, dy, turned, m_per_rad):
 
 
 @bare
+def _way(before, after):
+    """How far the tool's frame went."""
+    return math.sqrt((after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2 + (after[3] - before[3]) ** 2)
+
+
+@bare
 def pushed(state, before, after, body, firm, sizes, scene):
     """Object after one small motion of the tool, the size of it that its noise goes by, and its direction.
 
@@ -279,14 +285,12 @@ def pushed(state, before, after, body, firm, sizes, scene):
             from_x, from_y, from_yaw = x, y, yaw
             x, y, yaw = _slid(x, y, yaw, rest, level, before, after, body, scene)
             size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
-            way = (after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2 + (after[3] - before[3]) ** 2
-            size += sizes[3] * math.sqrt(way)
+            size += sizes[3] * _way(before, after)
             if unit_x == 0.0 and unit_y == 0.0:
                 unit_x, unit_y = level[1], level[2]
     if edge >= 0:
         if tilt < tip[rest, edge] * firm + LANDS_RAD:
-            way = (after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2 + (after[3] - before[3]) ** 2
-            size = sizes[2] * math.sqrt(way)
+            size = sizes[2] * _way(before, after)
         else:
             following, change = rests[7], rests[8]
             c, s = math.cos(yaw), math.sin(yaw)
