@@ -173,7 +173,7 @@ class MPPI:
         weights = sample_weights(
             weighed, settings.temperature, cost_scale=settings.cost_scale, perturbation=perturbation
         )
-        ess = (1.0 / weights.square().sum(-1)).to(self.dtype)
+        ess = weights.square().sum(-1).reciprocal().to(self.dtype)
         weights = weights.to(self.dtype)
         updated = (weights.unsqueeze(-2) @ knots.flatten(-2)).view_as(plan.knots)
         return self.from_knots(updated), Rollouts(controls, costs, weights, ess, done)

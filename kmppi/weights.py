@@ -96,9 +96,10 @@ def _masked_weights(
     if cost_scale == "std":
         largest = scaled.amax(-1, keepdim=True)
         unit = scaled / torch.where(largest > 0, largest, 1.0)
-        count = finite.sum(-1, keepdim=True)
-        variance = ((unit - unit.sum(-1, keepdim=True) / count).square() * finite).sum(-1, keepdim=True) / count
-        scaled = unit / torch.where(variance > 0, variance, 1.0).sqrt()
+        count = finite.sum(-1, keepdim=True, dtype=wide.dtype)
+        centred = (unit - unit.sum(-1, keepdim=True) / count) * finite
+        deviation = centred.norm(dim=-1, keepdim=True) / count.sqrt()
+        scaled = unit / torch.where(deviation > 0, deviation, 1.0)
     if perturbation is not None:
         scaled = scaled + perturbation
     return torch.softmax((-scaled / temperature).where(finite, -torch.inf), -1)

@@ -20,6 +20,8 @@ from sdf import check
 from sdf.extras import optional
 
 VERSION = "warp"
+LANES = 32
+"""Threads of a GPU that share one piece of work, where a kernel is launched with lanes: they run in step there."""
 _REALS = (torch.float32, torch.float64)
 
 
@@ -105,12 +107,18 @@ class Kernel:
             self._kinds[dtype] = [_concrete(kind, real) for kind in kinds.values()]
             self._overloads[dtype] = own.overload(generic, self._kinds[dtype]) if generic.is_generic else generic
 
-    def launch(self, shape: int | Sequence[int], *arguments: Any) -> None:  # noqa: ANN401  (whatever the function takes)
+    def launch(
+        self,
+        shape: int | Sequence[int],
+        *arguments: Any,  # noqa: ANN401  (whatever the function takes)
+        lanes: bool = False,
+    ) -> None:
         """Run it on the device of the tensors, in torch's current stream there; the host does not wait.
 
         Args:
-            shape: of the threads, one axis for each index of `warp.tid()`.
+            shape: of the threads, one axis for each index of `warp.tid()`, without that of the lanes.
             arguments: of the function; sequences for `Numbers`.
+            lanes: whether several threads share each piece of work (`lanes_warp`): `LANES` on a GPU, one on a CPU.
 
         Raises:
             ValueError: the tensors are on several devices, or there are none.
@@ -120,7 +128,7 @@ class Kernel:
             raise ValueError(f"Expected the tensors of {self.name} on one device, got {sorted(map(str, devices))}")
         dtype = next((tensor.dtype for tensor in tensors if tensor.is_floating_point()), _REALS[0])
         given = [_given(argument, kind) for argument, kind in zip(arguments, self._kinds[dtype], strict=True)]
-        enqueue(self._overloads[dtype], shape, given, tensors[0].device)
+        enqueue(self._overloads[dtype], shape, given, tensors[0].device, lanes=lanes)
 
 
 def _concrete(kind: Any, real: Any) -> Any:  # noqa: ANN401
@@ -151,11 +159,23 @@ def constant(numbers: tuple[float, ...], dtype: torch.dtype, device: torch.devic
     return torch.tensor(numbers, dtype=dtype, device=device)
 
 
-def enqueue(kernel: Any, shape: int | Sequence[int], arguments: list[Any], device: torch.device) -> None:  # noqa: ANN401
+def enqueue(
+    kernel: Any,  # noqa: ANN401
+    shape: int | Sequence[int],
+    arguments: list[Any],
+    device: torch.device,
+    *,
+    lanes: bool = False,
+) -> None:
     """Launch a kernel of warp's: the one place that does."""
     own = warp()
     stream = own.stream_from_torch(device) if device.type == "cuda" else None
-    own.launch(kernel, shape, arguments, device=own.device_from_torch(device), stream=stream)
+    block: dict[str, int] = {}
+    if lanes:
+        # a CPU has one lane, unless it is told to pretend blocks
+        block["block_dim"] = LANES if device.type == "cuda" or own.config.enable_cpu_blocks else 1
+        shape = (*([shape] if isinstance(shape, int) else shape), block["block_dim"])
+    own.launch(kernel, shape, arguments, device=own.device_from_torch(device), stream=stream, **block)
 
 
 @cache

@@ -23,13 +23,14 @@ class Work:
         done: units that were done.
         whole: units that there would have been without skipping.
         seconds: that those done took, in all.
-        pending: units done beside `done`, single numbers on a GPU that the host has not waited for.
+        pending: units done beside `done`, as single numbers on a GPU that the host has not waited for, and what each
+            counts.
     """
 
     done: float = 0.0
     whole: float = 0.0
     seconds: float = 0.0
-    pending: list[Tensor] = field(default_factory=list)
+    pending: list[tuple[Tensor, float]] = field(default_factory=list)
 
     @property
     def skipped(self) -> float:
@@ -43,10 +44,17 @@ class Work:
 
     def count(self, done: float | Tensor, whole: float) -> None:
         """Say how much was done of how much; a tensor where it is not worth to wait for it now."""
-        if isinstance(done, Tensor) and not may_look(done):
-            self.pending.append(done)
+        self._count(done, 1.0, whole)
+
+    def count_share(self, share: float | Tensor, whole: float) -> None:
+        """Say which share was done of how much."""
+        self._count(share, whole, whole)
+
+    def _count(self, number: float | Tensor, each: float, whole: float) -> None:
+        if isinstance(number, Tensor) and not may_look(number):
+            self.pending.append((number, each))
         else:
-            self.done += float(done)
+            self.done += float(number) * each
         self.whole += whole
 
     def add(self, other: "Work") -> None:
@@ -68,14 +76,14 @@ class Account:
 
     def pending(self) -> list[Tensor]:
         """Numbers that the host has not waited for, in the order in which `settle` takes them."""
-        return [number for work in self.works.values() for number in work.pending]
+        return [number for work in self.works.values() for number, _ in work.pending]
 
     def settle(self, numbers: Sequence[float]) -> None:
         """Count what was pending, by numbers that have been fetched."""
         left = iter(numbers)
         for work in self.works.values():
-            for _ in work.pending:
-                work.done += next(left)
+            for _, each in work.pending:
+                work.done += next(left) * each
             work.pending.clear()
 
     def skipped(self) -> dict[str, float]:

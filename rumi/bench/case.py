@@ -123,21 +123,25 @@ SLOW: set[str] = set()
 """Names of those that a quick run leaves out unless they are asked for."""
 
 
+HOST: set[str] = set()
+"""Names of those whose work is done on the CPU alone, whatever device the others run on."""
+
 Make = TypeVar("Make", bound=Callable[..., Case])
 
 
-def case(name: str, *, slow: bool = False) -> Callable[[Make], Make]:
+def case(name: str, *, slow: bool = False, host: bool = False) -> Callable[[Make], Make]:
     """Decorator that enters a function as the maker of a case."""
-    return cases({name: ()}, slow=slow)
+    return cases({name: ()}, slow=slow, host=host)
 
 
-def cases(named: Mapping[str, tuple[Any, ...]], *, slow: bool = False) -> Callable[[Make], Make]:
+def cases(named: Mapping[str, tuple[Any, ...]], *, slow: bool = False, host: bool = False) -> Callable[[Make], Make]:
     """Decorator that enters a function as the maker of several cases: what it takes beside the setup, by case."""
 
     def enter(make: Make) -> Make:
         for name, given in named.items():
             CASES[name] = partial(_made, make, given)
         SLOW.update(named if slow else ())
+        HOST.update(named if host else ())
         return make
 
     return enter

@@ -12,7 +12,7 @@ import torch
 import tyro
 
 from rumi.bench import table
-from rumi.bench.case import CASES, SLOW, Case, Setup
+from rumi.bench.case import CASES, HOST, SLOW, Case, Setup
 from rumi.bench.machine import BUSY, environment
 from rumi.bench.measure import Result, carry_out
 from rumi.bench.timing import fitting_clock
@@ -125,6 +125,9 @@ def time_cases(
     ended = DONE
     try:
         for name in options.only or [name for name in CASES if not (options.quick and name in SLOW)]:
+            if name in HOST and device.type != "cpu":
+                say(f"left out {name}: its work is done on the CPU")
+                continue
             say(f"timing {name}")
             try:
                 case = beside(name, CASES[name](setup), setup)

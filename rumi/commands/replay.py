@@ -259,7 +259,7 @@ def _replay(
             if (model := getattr(agent, "model", None)) is not None:
                 write_json(options.out / "object.json", record(model))
         seen = on_step if recorder is None else both(recorder, on_step)
-        done = take_in(taken, agent, seed=settings.seed, on_step=seen, wrap=_on_device(settings, taken))
+        done = take_in(taken, agent, seed=settings.seed, on_step=seen, wrap=_in_dtype(settings, taken))
         if recorder is not None:
             if scene is not None:
                 (recorder.folder / MAP).write_text(scene.text, encoding="utf-8")
@@ -316,16 +316,13 @@ def _name(log: "Log | RunLog") -> str:
     return FORMER_NAMES.get(name, name)
 
 
-def _on_device(settings: Any, taken: "Sequence[Recorded]") -> Any:  # noqa: ANN401  (what `replay` takes)
-    """What brings readings to the settings' device and dtype."""
+def _in_dtype(settings: Any, taken: "Sequence[Recorded]") -> Any:  # noqa: ANN401  (what `replay` takes)
+    """What brings readings to the settings' dtype."""
     from rumi.task import TaskOnDevice
 
-    if not hasattr(settings, "torch_device") or not taken:
+    if not hasattr(settings, "torch_dtype") or not taken or taken[0].reading.tool_pose.dtype == settings.torch_dtype:
         return lambda task: task
-    device, dtype = settings.torch_device, settings.torch_dtype
-    if device.type == "cpu" and taken[0].reading.tool_pose.dtype == dtype:
-        return lambda task: task
-    return lambda task: TaskOnDevice(task, device, dtype)
+    return lambda task: TaskOnDevice(task, torch.device("cpu"), settings.torch_dtype)
 
 
 def _check_object(log: Any, agent: Any) -> None:  # noqa: ANN401

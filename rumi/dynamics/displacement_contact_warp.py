@@ -7,6 +7,7 @@ along which it is constant where there is one node.
 from typing import Any
 
 from sdf import gpu
+from sdf.lanes_warp import greatest, least
 
 wp = gpu.warp()
 
@@ -87,23 +88,29 @@ def touch(
     origin: Any,
     scale: Any,
     tie: Any,
+    lane: int,
 ):
     """The first of the tool's points with the greatest contact probability, -1 if that is not above `level`.
 
-    And whether any point had to be looked at. Points come by the discs that bound them, with their order in the tool.
+    And whether any point had to be looked at. Points come by the discs that bound them, with their order in the tool;
+    lanes share the discs.
     """
-    most, looked, best = type(scale)(0.0), bool(False), int(-1)
-    for d in range(discs.shape[0]):
+    most, looked, best = type(scale)(0.0), int(0), int(-1)
+    for d in range(lane, discs.shape[0], wp.block_dim()):
         centre = type(place)(discs[d, 0], discs[d, 1], discs[d, 2])
         highest = _highest(placed(place, turn, centre), bound, bound_origin, scale)
-        looked = looked or highest > level
+        if highest > level:
+            looked = 1
         if highest > level and highest >= most - tie:
             for n in range(int(starts[d]), int(starts[d + 1])):
                 point = placed(place, turn, type(place)(points[n, 0], points[n, 1], points[n, 2]))
                 most = wp.max(most, value_at(point, probability, 0, origin, scale))
-    first = points.shape[0] + 0
+    if greatest(looked) == 0:
+        return best, False
+    most = greatest(most)
     if level < most:
-        for d in range(discs.shape[0]):
+        first = points.shape[0] + 0
+        for d in range(lane, discs.shape[0], wp.block_dim()):
             centre = type(place)(discs[d, 0], discs[d, 1], discs[d, 2])
             if _highest(placed(place, turn, centre), bound, bound_origin, scale) >= most - tie:
                 for n in range(int(starts[d]), int(starts[d + 1])):
@@ -112,7 +119,10 @@ def touch(
                         if value_at(point, probability, 0, origin, scale) >= most - tie:
                             first = int(order[n])
                             best = n
-    return best, looked
+        if least(first) != first:
+            best = -1
+        best = greatest(best)
+    return best, True
 
 
 @wp.func

@@ -190,7 +190,7 @@ class DisplacementRollouts:
         with skipped_work.work("contact_checks") as work:
             found: PushRollouts = version(self, configuration, controls, uniforms)
             whole = found.contact.numel() * self.settings.mini_steps
-            work.count(found.checked * whole, whole)
+            work.count_share(found.checked, whole)
         return found
 
     def _rollouts(

@@ -1,4 +1,4 @@
-"""The Warp version of the displacement rollouts, a thread for each; `displacement_rollouts.py` has the definition."""
+"""The Warp version of the displacement rollouts, lanes for each; `displacement_rollouts.py` has the definition."""
 
 import math
 from typing import Any
@@ -60,7 +60,7 @@ def _roll_out(
     contact: wp.array3d(dtype=wp.bool),
     checked: wp.array2d(dtype=Any),
 ):
-    k, m = wp.tid()
+    k, m, lane = wp.tid()
     per_metre, tie, push_cosine = numbers[0], numbers[1], numbers[2]
     none, last = type(tie)(0.0), path.shape[2] - 1
     low = wp.vector(origin[0], origin[1], origin[2])
@@ -78,7 +78,7 @@ def _roll_out(
                     z = scale[2]
                 wanted = now + wp.cw_mul(wanted, wp.vector(scale[0], scale[1], z, scale[last]))
                 left = residual(now, table, base, limits)
-                end, left = step_within(now, wanted, left, table, base, bounds, limits)
+                end, left = step_within(now, wanted, left, table, base, bounds, limits, lane)
             way = (end - now) / type(tie)(mini_steps)
             met, stuck = bool(False), bool(False)  # held up, and would be again at every mini step left of this step
             for part in range(mini_steps):
@@ -100,6 +100,7 @@ def _roll_out(
                         low,
                         per_metre,
                         tie,
+                        lane,
                     )
                     if looked:
                         count += 1
@@ -173,6 +174,7 @@ def rollouts(model: Any, configuration: Tensor, controls: Tensor, uniforms: Tens
         displacements,
         contact,
         checked,
+        lanes=True,
     )
     return PushRollouts(
         configurations,

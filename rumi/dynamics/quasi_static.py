@@ -183,7 +183,7 @@ class QuasiStaticRollouts:
         with skipped_work.work("pushes") as work:
             found: PushRollouts = version(self, configuration, controls, poses, slides)
             whole = found.contact.numel() * self.settings.mini_steps
-            work.count(found.checked * whole, whole)
+            work.count_share(found.checked, whole)
         return found
 
     def free_path(

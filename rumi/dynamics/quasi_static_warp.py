@@ -1,4 +1,7 @@
-"""The Warp version of the quasi-static rollouts, a thread for each; `quasi_static.py` and `sliding.py` define them."""
+"""The Warp version of the quasi-static rollouts, lanes for each; `quasi_static.py` and `sliding.py` define them.
+
+Lanes share the groups of the tool's points among them, and each of them then moves the object alike.
+"""
 
 import math
 from typing import Any
@@ -21,6 +24,7 @@ from rumi.dynamics.sliding_warp import (
 from rumi.robot.border import BORDER_GROUP
 from rumi.robot.tool_warp import free_path
 from sdf import gpu
+from sdf.lanes_warp import greatest, least
 
 wp = gpu.warp()
 
@@ -38,15 +42,17 @@ def _deepest(
     spacing: Any,
     steepness: Any,
     slack: Any,
+    lane: int,
 ):
     """The tool's point that is deepest in the object, its depth, and how far the tool may go at least until it touches.
 
-    The tool is at (place, turn) in the object's frame. Depths of points change by `steepness` a metre, at most.
+    The tool is at (place, turn) in the object's frame. Depths of points change by `steepness` a metre, at most. The way
+    is 0 where there is such a point, which is -1 where there is none.
     """
-    depth, gap, best, first = type(spacing)(0.0), type(spacing)(1e9), int(-1), points.shape[0]
+    depth, gap, best, first = type(spacing)(0.0), type(spacing)(1e9), int(-1), points.shape[0] + 0
     low = origin
     high = origin + type(origin)(type(spacing)(values.shape[0] - 1), type(spacing)(values.shape[1] - 1)) * spacing
-    for group in range(centres.shape[0]):
+    for group in range(lane, centres.shape[0], wp.block_dim()):
         centre = place + rotated(wp.vector(centres[group, 0], centres[group, 1]), turn)
         inside = wp.min(wp.max(low, centre), high)
         node = (inside - origin) / spacing
@@ -58,19 +64,26 @@ def _deepest(
         if -clear < depth:
             gap = wp.min(gap, clear)
             continue
-        least = type(spacing)(1e9)
+        nearest = type(spacing)(1e9)
         for k in range(BORDER_GROUP * group, BORDER_GROUP * (group + 1)):
             # beyond the table is outside of the object, as its border is
             point = place + rotated(wp.vector(points[k, 0], points[k, 1]), turn)
             distance = distance_at(point, values, origin, spacing)
-            least = wp.min(least, distance)
+            nearest = wp.min(nearest, distance)
             within = -distance
             if within > depth or (within == depth and within > type(spacing)(0.0) and int(order[k]) < first):
                 depth = within
                 best = k
                 first = int(order[k])
-        gap = wp.min(gap, wp.max(clear, least / steepness))
-    return depth, best, gap
+        gap = wp.min(gap, wp.max(clear, nearest / steepness))
+    most = greatest(depth)
+    if most <= type(spacing)(0.0):
+        return most, int(-1), least(gap)
+    if depth < most:
+        first = points.shape[0] + 0
+    if least(first) != first:  # the first of the tool's points that are as deep
+        best = -1
+    return most, greatest(best), type(spacing)(0.0)
 
 
 @wp.func
@@ -92,6 +105,7 @@ def _push(
     lever: Any,
     friction: Any,
     quartic: Any,
+    lane: int,
 ):
     """Pose after one small motion of the tool, whether it was met, and how far the tool may go on; see `push`."""
     first = pose
@@ -113,10 +127,10 @@ def _push(
             spacing,
             steepness,
             slack,
+            lane,
         )
         if index < 0:
             break
-        gap = type(spacing)(0.0)
         touched = True
         arm = rotated(wp.vector(points[index, 0], points[index, 1]), tool_turn)
         gradient = gradient_at(place + rotated_back(arm, turn), values, origin, spacing)
@@ -150,7 +164,7 @@ def _roll_out(
     contact: wp.array3d(dtype=wp.bool),
     checked: wp.array2d(dtype=Any),
 ):
-    k, m = wp.tid()
+    k, m, lane = wp.tid()
     spacing, steepness, slack, reach, width = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     none = type(spacing)(0.0)
     scene = k * poses.shape[0] // path.shape[0]
@@ -197,10 +211,11 @@ def _roll_out(
                             lever[m],
                             friction[m],
                             own_quartic,
+                            lane,
                         )
                         met = met or touched
             contact[k, m, t - 1] = met
-        for axis in range(3):
+        for axis in range(lane, 3, wp.block_dim()):
             configurations[k, m, t, axis] = tool[axis]
         shift, turned = place_of(start) - place_of(start), now[2] - start[2]
         if not now == start:  # noqa: SIM201  (vectors have no `!=`)
@@ -248,6 +263,7 @@ def rollouts(model: Any, configuration: Tensor, controls: Tensor, poses: Tensor,
         turns,
         contact,
         checked,
+        lanes=True,
     )
     contact = contact.view(*shape, horizon)
     return PushRollouts(

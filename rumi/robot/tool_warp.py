@@ -3,7 +3,7 @@
 A configuration is (x, y, z, yaw); in a plane z is 0. What limits a step comes as `Tool.arm_tensors` gives it: the table
 of what inverse kinematics leaves, always of four axes; the arm's base (x, y, yaw); the bounds (2, D); and numbers,
 which are the kind of table, the tolerance, the slack, the parts of a leg, the legs of a step, and where the table's
-nodes are.
+nodes are. Lanes share the parts of a leg.
 """
 
 import math
@@ -12,6 +12,7 @@ from typing import Any
 from torch import Tensor
 
 from sdf import gpu
+from sdf.lanes_warp import least
 
 wp = gpu.warp()
 
@@ -118,18 +119,20 @@ def _leg(
     base: wp.array(dtype=Any),
     bounds: wp.array2d(dtype=Any),
     numbers: Any,
+    lane: int,
 ):
     """Where a leg from q to `reached` ends, and the arm's residual there."""
     rest = residual(reached, table, base, numbers)
     if rest <= limit:
         return reached, rest
     # as far as the arm gets on the straight way, a part of the leg at a time
-    parts, passed = int(numbers[3]), int(0)
-    for part in range(1, parts):
+    parts, stopped = int(numbers[3]), int(numbers[3])
+    for part in range(1 + lane, parts, wp.block_dim()):
         share = type(limit)(part) / type(limit)(parts)
         if residual(q + (reached - q) * share, table, base, numbers) > limit:
+            stopped = part
             break
-        passed = part
+    passed = least(stopped) - 1
     halfway = q + (reached - q) * (type(limit)(passed) / type(limit)(parts))
     # and from there round the limit: without the turn, along the circle, along it and turning with it
     straight = type(q)(reached[0], reached[1], reached[2], halfway[3])
@@ -162,6 +165,7 @@ def step_within(
     base: wp.array(dtype=Any),
     bounds: wp.array2d(dtype=Any),
     numbers: Any,
+    lane: int,
 ):
     """Where a step from q to `wanted` ends, and the arm's residual there; `left` is it now. See `limited_step`."""
     reached = _boxed(wanted, bounds)
@@ -175,7 +179,7 @@ def step_within(
     now, now_left = type(q)(q), type(left)(left)
     for _ in range(legs):
         limit = wp.max(now_left, numbers[1]) + numbers[2]
-        now, now_left = _leg(now, _boxed(now + part, bounds), limit, table, base, bounds, numbers)
+        now, now_left = _leg(now, _boxed(now + part, bounds), limit, table, base, bounds, numbers, lane)
     return now, now_left
 
 
@@ -190,7 +194,7 @@ def _free_path(
     numbers: gpu.Numbers(11),
     path: wp.array3d(dtype=Any),
 ):
-    k = wp.tid()
+    k, lane = wp.tid()
     start, last = k * starts.shape[0] // controls.shape[0], starts.shape[1] - 1
     none = starts.dtype(0.0)
     x, y, z, yaw = starts[start, 0], starts[start, 1], none, starts[start, last]
@@ -210,7 +214,7 @@ def _free_path(
             if last == 3:
                 way_z = controls[k, h, 2] * scale[2]
             wanted = q + wp.vector(way_x, way_y, way_z, way_yaw)
-            q, left = step_within(q, wanted, left, table, base, bounds, numbers)
+            q, left = step_within(q, wanted, left, table, base, bounds, numbers, lane)
 
 
 def free_path(limits: tuple[Any, ...], scale: Tensor, starts: Tensor, controls: Tensor) -> Tensor:
@@ -223,5 +227,5 @@ def free_path(limits: tuple[Any, ...], scale: Tensor, starts: Tensor, controls: 
         controls: in [-1, 1].
     """
     path = controls.new_empty(len(controls), controls.shape[1] + 1, starts.shape[1])
-    _free_path.launch(len(controls), starts, controls, scale.to(controls), *limits, path)
+    _free_path.launch(len(controls), starts, controls, scale.to(controls), *limits, path, lanes=True)
     return path

@@ -67,7 +67,7 @@ def _unmeasured(mapping: BagMap, settings: Settings) -> Motion:
     scene, further = mapping.scene, mapping.signals_count or bool(settings.filter.evidence)
     felt = mapping.wrench is not None and mapping.wrench.level and not further
     unseen = scene.prior_mean_m is not None and not scene.looks_again
-    return "trajectory" if felt and unseen and settings.device == "cpu" else "corrected"
+    return "trajectory" if felt and unseen else "corrected"
 
 
 def _trajectories(mapping: BagMap, settings: Settings) -> PoseTrajectorySettings:

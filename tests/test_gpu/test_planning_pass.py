@@ -2,6 +2,7 @@
 
 import copy
 import math
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -125,8 +126,10 @@ def test_a_pass_on_a_gpu(task, push_model, reach):
     with profile(activities=[ProfilerActivity.CUDA]) as profiled:
         plan = held[0].act(request)
         torch.cuda.synchronize()
-    kernels = [event for event in profiled.events() if not event.name.startswith(("Memcpy", "Memset"))]
-    assert 0 < len(kernels) <= LAUNCHES
+    # what runs there, without what the host did to ask for it
+    there = [event.name for event in profiled.events() if event.device_type == torch.autograd.DeviceType.CUDA]
+    kernels = [name for name in there if not name.startswith(("Memcpy", "Memset"))]
+    assert 0 < len(kernels) <= LAUNCHES, Counter(kernels).most_common(20)
     assert plan.controls.isfinite().all()
 
 

@@ -108,6 +108,7 @@ class _Timed:
 @cases(
     {f"actions-{name}": (name,) for name in ("mug-0", "drill-0", "box-0", "shelf-mug", "touch-box", "peg", "handle")},
     slow=True,
+    host=True,
 )
 def actions(setup: Setup, name: str) -> Case:
     """A run of a task by its default, and its replay without the simulator."""

@@ -28,7 +28,7 @@ def _first_run(*, kept: bool) -> Callable[[], None]:
     return run
 
 
-@case("cold-start", slow=True)
+@case("cold-start", slow=True, host=True)
 def cold_start(setup: Setup) -> Case:
     """A first run, kernels included, beside a later one."""
     later = "kernels kept"

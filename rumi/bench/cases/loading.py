@@ -16,7 +16,7 @@ def _fresh(statement: str) -> Callable[[], None]:
     return run
 
 
-@case("import")
+@case("import", host=True)
 def load(setup: Setup) -> Case:
     """Loading the package in a fresh interpreter."""
     return Case(

@@ -25,7 +25,7 @@ _EPISODES = 200  # 100 000 readings; a quick run has a tenth
 _NOISE = (1e-3, 1e-3, 0.0175)
 
 
-@cases({"reading-contact": ("in contact", 0.01), "reading-free": ("free", 1.0)}, slow=True)
+@cases({"reading-contact": ("in contact", 0.01), "reading-free": ("free", 1.0)}, slow=True, host=True)
 def reading(setup: Setup, what: str, aside_m: float) -> Case:
     """A tool that passes by an object `aside_m` beside its middle."""
     scene = mug_scene(setup)

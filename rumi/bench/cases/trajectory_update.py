@@ -22,7 +22,7 @@ from sensors.discrepancy import Discrepancy
 _SEGMENTS = 3  # of the timed action
 
 
-@case("trajectory_update")
+@case("trajectory_update", host=True)
 def trajectory_update(setup: Setup) -> Case:
     """Update by trajectories."""
     sdf = mug_scene(setup).model.sdf

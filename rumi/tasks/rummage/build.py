@@ -19,6 +19,7 @@ from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.dynamics.registry import AUTO, PushSettings
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
+from rumi.planning.on_device import PolicyOnDevice
 from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
@@ -68,7 +69,7 @@ def build(
     Raises:
         UsageError: there is no such task or device, or the object cannot be used or does not suit the task.
     """
-    spec, device, dtype = find_task(settings.task), settings.torch_device, settings.torch_dtype
+    spec, dtype = find_task(settings.task), settings.torch_dtype
     check_pushing(spec, settings)
     if settings.steps is not None:
         spec = replace(spec, steps=settings.steps)
@@ -77,8 +78,8 @@ def build(
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
     faults = faults_of(spec, settings)
     task: Task = make_task(spec, guarded(spec, settings), cache_dir=cache_dir, tool=tool, model=model, faults=faults)
-    if device.type != "cpu" or dtype != torch.float32:
-        task = TaskOnDevice(task, device, dtype)
+    if dtype != torch.float32:
+        task = TaskOnDevice(task, torch.device("cpu"), dtype)
     said = conditions_of(settings.simulator, settings.conditions)
     return Parts(task, replace(build_rummager(spec, settings, model, tool), steps=spec.steps, conditions=said))
 
@@ -116,7 +117,7 @@ def make_task(
 def build_rummager(
     spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool, workspace: Workspace | None = None
 ) -> Rummager:
-    """How an object is found: filter, policy and stopping rule, on the settings' device.
+    """How an object is found: filter and stopping rule, on the CPU, and policy, on the settings' device.
 
     Args:
         spec: of the task.
@@ -125,9 +126,9 @@ def build_rummager(
         tool: the gripper.
         workspace: lattice of the fields; by default the task's.
     """
-    to = (settings.torch_device, settings.torch_dtype)
-    model, tool = model.to(*to), copy.deepcopy(tool).to(*to)
-    workspace = (workspace or workspace_of(spec)).to(*to)
+    dtype = settings.torch_dtype
+    model, tool = model.to(dtype), copy.deepcopy(tool).to(dtype)
+    workspace = (workspace or workspace_of(spec)).to(dtype)
     discrepancy = Discrepancy(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
@@ -154,13 +155,13 @@ def build_rummager(
             pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
         further: tuple[EvidenceModel, ...] = ()
         if following.evidence:
-            surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
+            surface = tool.shape.surface(SignalSettings().spacing_m).to(dtype)
             further = make_evidence(following.evidence, model.sdf, surface)
         pose_filter = PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed)
     return Rummager(
         model,
-        pose_filter.to(*to),
-        make_policy(replace(settings, planner=planned(spec, settings)), reachability(tool, workspace)),
+        pose_filter.to(dtype),
+        _policy_of(replace(settings, planner=planned(spec, settings)), reachability(tool, workspace)),
         workspace,
         tool,
         initialise=settings.initialise,
@@ -229,6 +230,13 @@ def reachability(tool: Tool, workspace: Workspace) -> Float[Tensor, "V"]:
     """r(x) of every point of the workspace; 1 everywhere for a tool that flies freely."""
     points = workspace.points
     return torch.ones_like(points[:, 0]) if tool.reach is None else tool.reach.field(points)
+
+
+def _policy_of(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
+    """The policy of the settings' method, on their device."""
+    device = settings.torch_device
+    policy = make_policy(settings, reach.to(device))
+    return policy if device.type == "cpu" else PolicyOnDevice(policy, device)
 
 
 def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:

@@ -30,8 +30,8 @@ from rumi.viz.rummaging_view import RummagingView
 from sensors.reading import Reading
 
 ON_A_GPU = (
-    "on a GPU a planning pass is fewer than 300 launches and no wait, by count; it was timed on none, and the belief "
-    "is followed by plain torch"
+    "plans are made on the GPU, the belief is followed on the CPU; a planning pass took 14 to 16 ms on an NVIDIA H200, "
+    "40 to 115 ms on one core beside it"
 )
 """What holds of `--device cuda`."""
 

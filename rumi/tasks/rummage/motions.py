@@ -304,7 +304,6 @@ def _no_trajectory(settings: Settings) -> str | None:
     for flag, odd, fits in (
         ("simulator.sensors.kind", settings.simulator.sensors.kind != "points", "points"),
         ("filter.evidence", bool(settings.filter.evidence), "none"),
-        ("device", settings.device != "cpu", "cpu"),
     ):
         if odd:
             return f"Expected --{flag} {fits} with --filter.motion trajectory, which takes in no other"

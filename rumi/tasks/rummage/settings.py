@@ -46,7 +46,7 @@ class Settings:
         preset: where all other settings started from; "paper" holds the paper's Table IV.
         seed: of all randomness.
         steps: actions at most; None for as many as the task allows.
-        device: "cpu" or "cuda".
+        device: where plans are made, "cpu" or "cuda"; the belief is followed on the CPU.
         dtype: of the belief and the planner.
         replan_every: actions carried out of one plan; a contact always asks for a new one.
         plan_budget_s: seconds that each plan may take, for which it makes do with less; runs are not the same then from

@@ -43,8 +43,12 @@ def test_without_a_slip_sensor_the_motion_that_suits_takes_its_place(task, motio
 def test_what_no_trajectory_takes_in_is_corrected():
     settings = without_sensor("mug")
     sensed = replace(settings.simulator, sensors=replace(settings.simulator.sensors, kind="bubbles"))
-    for other in (replace(settings, simulator=sensed), replace(settings, device="cuda")):
-        assert followed(find_task("mug"), other).motion == "corrected"
+    assert followed(find_task("mug"), replace(settings, simulator=sensed)).motion == "corrected"
+
+
+def test_where_plans_are_made_changes_nothing_of_the_belief():
+    settings = replace(without_sensor("mug"), device="cuda")
+    assert followed(find_task("mug"), settings).motion == "trajectory"
 
 
 @pytest.mark.sim
