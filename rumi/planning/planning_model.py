@@ -1,6 +1,6 @@
 """Model of one plan: the fields, rollouts and costs that it evaluates motions by, and what it tells of the best."""
 
-import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -15,7 +15,6 @@ from rumi.planning.objective import Objective, gathered_by_action
 from rumi.planning.policy import Plan
 from rumi.planning.sampled_paths import sampled_paths
 from rumi.robot.tool import Tool
-from sdf import gpu, skipped_work
 
 
 class PlanningModel(NamedTuple):
@@ -43,37 +42,35 @@ class PlanningModel(NamedTuple):
         watch.lap("costs")
         return predicted, gathered
 
+    def told(
+        self, samples: Rollouts, predicted: PushRollouts, gathered: Float[Tensor, "H"]
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """What is told of a plan, where it was worked out: the ESS of its samples first."""
+        return samples.ess, samples.costs, self.fields.information.sum(), predicted.displacements[0, 0], gathered
+
     def plan(
         self,
         tool: Tool,
         configuration: Float[Tensor, "Q"],
         nominal: ControlPlan,
         samples: Rollouts,
-        unseen: tuple[Tensor, ...],
-        work: skipped_work.Account,
+        predicted: PushRollouts,
+        told: Sequence[Tensor],
         watch: Stopwatch,
     ) -> Plan:
-        """The plan that controls are, and what is told of it.
+        """The plan that controls are.
 
         Args:
             tool: that is moved.
             configuration: where it begins.
             nominal: the controls.
             samples: of the last iteration.
-            unseen: sums of what was not looked at, since a GPU would have to be waited for; finite, like the rest.
-            work: account of what was skipped.
+            predicted: what they are expected to do.
+            told: what `told` has of them, on the host.
             watch: of the stages.
-
-        Raises:
-            ValueError: some number is not finite.
         """
-        predicted, gathered = self.predicted(configuration, nominal, watch)
+        ess, costs, information, moves, gathered = told
         fields, objective = self.fields, self.objective
-        told = (samples.ess, samples.costs, fields.information.sum(), predicted.displacements[0, 0], gathered)
-        ess, costs, information, moves, gathered, *rest = gpu.fetched(*told, *unseen, *work.pending())
-        if not all(math.isfinite(float(number)) for number in (ess, *rest[: len(unseen)])):
-            raise ValueError("Expected finite poses, weights, configuration and costs, got NaN or infinity among them")
-        work.settle([float(number) for number in rest[len(unseen) :]])
         return Plan(
             controls=nominal.controls,
             path=predicted.configurations[0, 0],

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -169,7 +169,9 @@ class RummagingPolicy:
             watch.lap("planner")
             ending = budget.now()
             unseen = () if may_look(poses) else (poses.sum(), belief.log_weights.amax(), configuration.sum())
-            plan = view.plan(scene.tool, configuration, nominal, samples, unseen, work, watch)
+            predicted, gathered = view.predicted(configuration, nominal, watch)
+            told = _fetched(view.told(samples, predicted, gathered), unseen, work)
+            plan = view.plan(scene.tool, configuration, nominal, samples, predicted, told, watch)
             budget.took("finish", 1.0, budget.now() - ending)
             if not budget.open:
                 made = {"pace": budget.pace, "particles": view.particles, "samples": budget.samples}
@@ -318,6 +320,16 @@ class RummagingPolicy:
         if previous is None or previous.warm_start is None:
             return mppi.initial(generator=generator), max(1, self.settings.mppi.warmup_iterations)
         return mppi.shift(previous.warm_start, executed), self.settings.mppi.iterations
+
+
+def _fetched(told: Sequence[Tensor], unseen: Sequence[Tensor], work: skipped_work.Account) -> list[Tensor]:
+    """What is told of a plan, on the host, once what nobody looked at before is seen to be finite."""
+    found = gpu.fetched(*told, *unseen, *work.pending())
+    kept, seen, pending = found[: len(told)], found[len(told) :][: len(unseen)], found[len(told) + len(unseen) :]
+    if not all(math.isfinite(float(number)) for number in (kept[0], *seen)):
+        raise ValueError("Expected finite poses, weights, configuration and costs, got NaN or infinity among them")
+    work.settle([float(number) for number in pending])
+    return kept
 
 
 def info_only(settings: RummagingSettings | None = None) -> RummagingPolicy:
