@@ -10,13 +10,12 @@ from contextlib import contextmanager, suppress
 def set_aside() -> Iterator[None]:
     """Within the block the collector leaves alone what there was before.
 
-    Libraries are a million objects, to look through which takes some 150 ms, at an instant that nobody chooses. Where
-    something is set aside already, as by a block around this one, that is enough.
+    Libraries are a million objects, to look through which takes some 150 ms, at an instant that nobody chooses. What
+    was set aside before, as by a block around this one, stays so after it, and so does what this one added.
     """
     outermost = not gc.get_freeze_count()
     gc.collect()
-    if outermost:
-        gc.freeze()
+    gc.freeze()
     try:
         yield
     finally:

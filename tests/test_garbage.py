@@ -14,6 +14,6 @@ def test_an_inner_block_leaves_set_aside_what_the_outer_one_did(monkeypatch: pyt
     monkeypatch.setattr(gc, "unfreeze", lambda: frozen.append(frozen.pop() * 0))
     with set_aside():
         with set_aside():
-            assert frozen == [1]
-        assert frozen == [1]
+            assert frozen == [2]
+        assert frozen == [2]
     assert frozen == [0]
