@@ -10,14 +10,17 @@ from contextlib import contextmanager, suppress
 def set_aside() -> Iterator[None]:
     """Within the block the collector leaves alone what there was before.
 
-    Libraries are a million objects, to look through which takes some 150 ms, at an instant that nobody chooses.
+    Libraries are a million objects, to look through which takes some 150 ms, at an instant that nobody chooses. What
+    was set aside before, as by a block around this one, stays so after it, and so does what this one added.
     """
+    outermost = not gc.get_freeze_count()
     gc.collect()
     gc.freeze()
     try:
         yield
     finally:
-        gc.unfreeze()
+        if outermost:
+            gc.unfreeze()
 
 
 def give_back() -> None:

@@ -15,6 +15,17 @@ def generator(seed: int, device: torch.device | str = "cpu") -> torch.Generator:
     return torch.Generator(device=device).manual_seed(seed)
 
 
+def lone(source: Generators) -> torch.Generator:
+    """The generator of one scene, where there is no batch.
+
+    Raises:
+        TypeError: there are several.
+    """
+    if not isinstance(source, torch.Generator):
+        raise TypeError("Expected the generator of one scene, got those of several")
+    return source
+
+
 def split(source: int | torch.Generator, name: str, device: torch.device | str | None = None) -> torch.Generator:
     """An independent stream for one purpose, told apart by name.
 

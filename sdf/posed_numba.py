@@ -15,18 +15,17 @@ from sdf.batch import broadcast_shapes
 from sdf.compiled import Kernel
 from sdf.grid_numba import (
     Arrays,
-    at,
     block,
     grid_arguments,
     lattice_of,
     layer_arguments,
     layer_value,
     layer_value_and_gradient,
-    put,
     value,
     value_and_gradient,
 )
 from sdf.grid_sdf import GridSDF
+from sdf.intrinsics_numba import at, put
 from sdf.part_numba import indices
 
 # points of one task: enough to be worth a thread's while

@@ -8,8 +8,9 @@ from torch import Tensor
 
 from sdf import skipped_work
 from sdf.compiled import Kernel
-from sdf.grid_numba import Arrays, at, block, fast, grid_arguments, lattice_of, value
+from sdf.grid_numba import Arrays, block, fast, grid_arguments, lattice_of, value
 from sdf.grid_sdf import GridSDF
+from sdf.intrinsics_numba import at
 from sdf.part_numba import indices
 from sensors.tiles import Tiles, steepness, tiles
 from sensors.tiles_numba import WHOLE, local, near_points

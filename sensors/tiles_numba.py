@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import at, block, exact, fast, put, value
+from sdf.grid_numba import block, exact, fast, value
+from sdf.intrinsics_numba import at, put
 from sdf.part_numba import indices
 
 # 0 as a number of no known value: for a known one numba compiles what is called with it once more

@@ -18,7 +18,7 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, OWN, PoseTrajectoryBelief, Trajectories
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, one
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.segments import felt_pads, path_of, pushed, until_felt
 from rumi.belief.tempering import check_finite, log_mean, power_of
@@ -27,7 +27,7 @@ from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_starts import brought_to, from_prior, jittered, jumped, least_fit
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
-from rumi.seeding import Generators, normal
+from rumi.seeding import Generators, lone, normal
 from rumi.weights import effective_sample_size, normalise
 from sdf.so3 import wrap
 from sensors.discrepancy import Discrepancy
@@ -88,7 +88,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
         """Draws of the prior."""
-        random = one(generator)
+        random = lone(generator)
         drawn = Trajectories.drawn(
             from_prior(self.prior, self.own.unseen_particles, random), History.empty(4), random, apart=True
         )
@@ -103,7 +103,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
             reading: of the last action.
             generator: of the draws.
         """
-        now = self._jumped(*self.particles_of(belief), reading, path_of(reading, self.model), one(generator))
+        now = self._jumped(*self.particles_of(belief), reading, path_of(reading, self.model), lone(generator))
         return self.belief_of(now, _even(now), belief.world_T_attached, belief.log_weights)
 
     def particles_of(self, belief: PoseBelief) -> tuple[Trajectories, Float[Tensor, "M"]]:

@@ -1,24 +1,32 @@
-"""Particles of an upright object that nothing has pushed yet: draws of a prior, or anew for a first touch."""
+"""Particles of an upright object that nothing has pushed yet: of a prior, a first view, or anew for a first touch."""
 
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import standing
 from rumi.belief.systematic_errors import NUMBERS
-from rumi.belief.trajectory_history import History
-from rumi.belief.trajectory_moves import KERNEL, start_density
+from rumi.belief.trajectory_history import History, Segment
+from rumi.belief.trajectory_moves import KERNEL, Moves, start_density
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.trajectory_starts import from_prior
+from rumi.belief.yaw_search import all_round
 from rumi.resampling import resample_systematic
 from rumi.seeding import normal
 from sensors.observation import Observation
 
 DRAWS, STARTS = 6000, 300
 """Start poses that are drawn and weighed, and those that stand for what they leave open."""
+
+SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))
+"""Deviations of draws about poses that fit a view: metres, radians."""
+
+_SWEEPS = 4  # of moves over draws of a view's posterior
 
 
 def of_prior(
@@ -36,12 +44,47 @@ def of_prior(
     start = from_prior(prior, DRAWS, random)[:, :3]
     view = standing(memory, start[:STARTS], model, own)
     history = History.empty() if view is None else History.empty().appended(view)
-    drawn = replace(Trajectories.drawn(start, history, random, systematic=_errors(own, random)), first=prior)
+    drawn = replace(Trajectories.drawn(start, history, random, systematic=_errors(DRAWS, own, random)), first=prior)
     if view is not None:
         drawn = drawn.replayed(model, own, history, torch.zeros(DRAWS, dtype=torch.long))
     log_weights = drawn.log_likelihood.sum(-1)
     starts = start[resample_systematic(log_weights, STARTS, generator=random)]
     return replace(drawn.at(resample_systematic(log_weights, own.particles, generator=random)), starts=starts)
+
+
+def of_view(
+    view: Segment | None,
+    fitted: Float[Tensor, "n 3"],
+    model: Pushed,
+    own: PoseTrajectorySettings,
+    random: torch.Generator,
+) -> Trajectories:
+    """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves.
+
+    Args:
+        view: what it shows; None for nothing.
+        fitted: x, y and yaw of poses that fit it.
+        model: object and tool.
+        own: of the filter.
+        random: of the draws.
+    """
+    history = History.empty() if view is None else History.empty().appended(view)
+    if own.first_particles and view is not None:
+        fitted = torch.cat((fitted, all_round(fitted, history, model, own)))
+    draws = max(DRAWS // len(fitted), 1)
+    spread = fitted.new_tensor([(m, m, rad) for m, rad in SPREADS])
+    scale = spread[torch.arange(draws * len(fitted)) % len(spread)]
+    start = fitted.repeat(draws, 1) + scale * normal(scale.shape, generator=random, dtype=torch.float64)
+    drawn = Trajectories.drawn(start, history, random, systematic=_errors(len(start), own, random))
+    drawn = drawn.replayed(model, own, history, torch.zeros(len(start), dtype=torch.long))
+    proposal = torch.stack([start_density(start, fitted, s) for s in spread]).logsumexp(0)
+    log_weights = drawn.log_likelihood.sum(-1) - proposal
+    starts = start[resample_systematic(log_weights, STARTS, generator=random)]
+    drawn = replace(drawn.at(resample_systematic(log_weights, own.particles, generator=random)), starts=starts)
+    moves = Moves(model, own, random)
+    for _ in range(_SWEEPS):
+        drawn = moves.sweep(drawn, history, whole=True)
+    return drawn
 
 
 def drawn_again(now: Trajectories, model: Pushed, own: PoseTrajectorySettings, random: torch.Generator) -> Trajectories:
@@ -60,7 +103,7 @@ def drawn_again(now: Trajectories, model: Pushed, own: PoseTrajectorySettings, r
         start[:, :3] += scale * normal((DRAWS, 3), generator=random, dtype=torch.float64)
     else:
         start = from_prior(now.first, DRAWS, random)[:, :3]
-    drawn = Trajectories.drawn(start, now.history, random, now.starts, systematic=_errors(own, random))
+    drawn = Trajectories.drawn(start, now.history, random, now.starts, systematic=_errors(DRAWS, own, random))
     drawn = replace(drawn, log_evidence=now.log_evidence, first=now.first)
     if len(now.history):
         drawn = drawn.replayed(model, own, now.history, torch.zeros(DRAWS, dtype=torch.long))
@@ -70,6 +113,6 @@ def drawn_again(now: Trajectories, model: Pushed, own: PoseTrajectorySettings, r
     return drawn.at(resample_systematic(log_weights, own.first_particles, generator=random))
 
 
-def _errors(own: PoseTrajectorySettings, random: torch.Generator) -> torch.Tensor | None:
+def _errors(count: int, own: PoseTrajectorySettings, random: torch.Generator) -> Tensor | None:
     """Standard normals of the systematic errors of as many draws; None where there are none."""
-    return normal((DRAWS, NUMBERS), generator=random, dtype=torch.float64) if own.systematic else None
+    return normal((count, NUMBERS), generator=random, dtype=torch.float64) if own.systematic else None

@@ -19,13 +19,12 @@ from rumi.belief.bootstrap_filter import SHOWN, BootstrapBelief, BootstrapFilter
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories
-from rumi.belief.pose_trajectory_filter import one
 from rumi.belief.prior import PosePrior
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History, Segment
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic
-from rumi.seeding import Generators
+from rumi.seeding import Generators, lone
 from rumi.weights import normalise
 from sdf import se3
 from sensors.discrepancy import Discrepancy
@@ -72,7 +71,7 @@ class IslandFilter(BootstrapFilter):
         """One whole filter step of each; the points for planners ride with the first. Arguments as of `PoseFilter`."""
         after, infos, before = [], list[FilterInfo](), list(islands_of(belief))
         if self.own.exchanged > 0 and bool(reading.in_contact.any()):
-            before = self._exchanged(before, one(generator))
+            before = self._exchanged(before, lone(generator))
         none = memory[torch.zeros(0, dtype=torch.long)]
         kept = none
         for number, island in enumerate(before):

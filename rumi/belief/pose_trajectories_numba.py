@@ -7,8 +7,9 @@ import numpy as np
 from rumi.belief.silence_numba import SILENT, told_by_silence
 from rumi.dynamics.sliding_numba import settled, slope, turned, value
 from sdf.compiled import Kernel, bare
-from sdf.grid_numba import at, between, fast, lattice_of
+from sdf.grid_numba import between, fast, lattice_of
 from sdf.grid_numba import value as distance_at
+from sdf.intrinsics_numba import at
 from sdf.part_numba import indices
 
 _SLACK = 1e-6  # nats by which sums in another order may differ

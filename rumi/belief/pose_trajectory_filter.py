@@ -15,24 +15,22 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.first_poses import DRAWS, STARTS, drawn_again, of_prior
+from rumi.belief.first_poses import drawn_again, of_prior, of_view
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
 from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import above, cut, felt_pads, path_of, pushed, seen_besides, standing
-from rumi.belief.systematic_errors import NUMBERS
 from rumi.belief.tempering import check_finite, in_full, log_mean, power_of, raised
 from rumi.belief.trajectory_chance import log_chance
-from rumi.belief.trajectory_history import History, Segment
-from rumi.belief.trajectory_moves import Moves, start_density
+from rumi.belief.trajectory_history import Segment
+from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.belief.yaw_search import all_round
 from rumi.errors import UsageError
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
-from rumi.seeding import Generators, normal
+from rumi.seeding import Generators, lone, normal
 from rumi.weights import effective_sample_size, normalise
 from sdf import se3
 from sensors.discrepancy import Discrepancy
@@ -40,8 +38,7 @@ from sensors.evidence import EvidenceModel
 from sensors.observation import Observation, attach, in_world, merge
 from sensors.reading import Reading
 
-_SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
-_LOOKED_AT, _FIRST_SWEEPS = 24, 4
+_LOOKED_AT = 24
 _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
 _UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
 _ALIVE = 0.4  # share of different poses before an action that needs no moves in the middle of it
@@ -117,30 +114,12 @@ class PoseTrajectoryFilter(PoseFilter):
 
         Without a view draws of the prior.
         """
-        random, own = one(generator), self.own
+        random, own = lone(generator), self.own
         if self.prior is not None:
-            unseen = of_prior(self.prior, memory, self.model, own, random)
-            flat = torch.zeros(own.particles, dtype=torch.float64)
-            return self.belief_of(unseen, normalise(flat), belief.world_T_attached, belief.log_weights)
-        fitted = se3.to_planar(belief.world_T_object.double())
-        view = standing(memory, fitted, self.model, own)
-        history = History.empty() if view is None else History.empty().appended(view)
-        if own.first_particles and view is not None:
-            fitted = torch.cat((fitted, all_round(fitted, history, self.model, own)))
-        draws = max(DRAWS // len(fitted), 1)
-        spread = fitted.new_tensor([(m, m, rad) for m, rad in _SPREADS])
-        scale = spread[torch.arange(draws * len(fitted)) % len(spread)]
-        start = fitted.repeat(draws, 1) + scale * normal(scale.shape, generator=random, dtype=torch.float64)
-        errors = normal((len(start), NUMBERS), generator=random, dtype=torch.float64) if own.systematic else None
-        drawn = Trajectories.drawn(start, history, random, systematic=errors)
-        drawn = drawn.replayed(self.model, own, history, torch.zeros(len(start), dtype=torch.long))
-        proposal = torch.stack([start_density(start, fitted, s) for s in spread]).logsumexp(0)
-        log_weights = drawn.log_likelihood.sum(-1) - proposal
-        starts = start[resample_systematic(log_weights, STARTS, generator=random)]
-        drawn = replace(drawn.at(resample_systematic(log_weights, own.particles, generator=random)), starts=starts)
-        moves = Moves(self.model, own, random)
-        for _ in range(_FIRST_SWEEPS):
-            drawn = moves.sweep(drawn, history, whole=True)
+            drawn = of_prior(self.prior, memory, self.model, own, random)
+        else:
+            fitted = se3.to_planar(belief.world_T_object.double())
+            drawn = of_view(standing(memory, fitted, self.model, own), fitted, self.model, own, random)
         flat = torch.zeros(own.particles, dtype=torch.float64)
         return self.belief_of(drawn, normalise(flat), belief.world_T_attached, belief.log_weights)
 
@@ -152,7 +131,7 @@ class PoseTrajectoryFilter(PoseFilter):
         if reading.tool_pose.ndim != 3:
             raise ValueError(f"Expected a reading of one scene, got tool_pose {tuple(reading.tool_pose.shape)}")
         own, frame = self.own, belief.world_T_attached
-        done = self.advanced(*self.particles_of(belief), reading, one(generator))
+        done = self.advanced(*self.particles_of(belief), reading, lone(generator))
         if done.touched and not done.spans:  # begun anew: what was sensed before told where it was
             memory = memory[(~memory.attached).nonzero()[:, 0]]
         frames = done.rides.to(frame) @ frame
@@ -366,10 +345,3 @@ class PoseTrajectoryFilter(PoseFilter):
         attached = se3.inverse(frame) @ poses
         flat = torch.zeros_like(log_weights).to(like)
         return PoseTrajectoryBelief(frame, attached, normalise(log_weights.to(like)), flat, None, now)
-
-
-def one(generator: Generators) -> torch.Generator:
-    """The generator of one scene."""
-    if not isinstance(generator, torch.Generator):
-        raise TypeError("Expected one generator: trajectories are of one scene")
-    return generator

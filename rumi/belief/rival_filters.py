@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.first_poses import SPREADS
 from rumi.belief.offset_rings import CAMERA, HAND, Ring, drawn
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
@@ -42,7 +43,6 @@ _PARTICLES, _DRAWS, _STARTS, _SWEEPS = 75, 1500, 150, 2
 _PLACES = 400  # start poses that the prior of what was moved is the density of
 _COPIES = 3  # of each belief but those of a size
 _FURTHER = 4  # copies of no fault where an alarm is due
-_SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of start poses about those of the first view: m, rad
 _NARROWER, _LEAST_KERNEL_M = 0.5, 0.0003  # kernel of start poses by a view: of their deviation, and at least
 _HOPELESS = 8.0  # nats that a rival is less likely than no fault, from which on it is left out
 
@@ -240,7 +240,7 @@ def _seen(
     view = first.history.segment(0)
     history = History.empty().appended(view._replace(points=view.points + view.points.new_tensor((0, 0, raised_m))))
     about = first.poses[:, 0]
-    spread = about.new_tensor([(m, m, rad) for m, rad in _SPREADS])
+    spread = about.new_tensor([(m, m, rad) for m, rad in SPREADS])
     scale = spread[torch.arange(_DRAWS) % len(spread)]
     rows = torch.randint(len(about), (_DRAWS,), generator=generator)
     start = about[rows] + scale * normal(scale.shape, generator=generator, dtype=torch.float64)

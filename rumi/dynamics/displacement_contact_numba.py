@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from sdf.compiled import bare
-from sdf.grid_numba import at, bits, from_bits, next_to, node, put, whole
+from sdf.intrinsics_numba import at, bits, from_bits, next_to, node, put, whole
 
 
 @bare

@@ -15,6 +15,7 @@ from torch import Tensor
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactBound, ContactField
 from rumi.dynamics.tool_lookup import ToolField, at_height, planar_features
+from rumi.dynamics.touched_rollouts import Touched
 from rumi.robot.tool import Tool
 from sdf import backend, compiled, gpu, skipped_work
 from sdf.bounds import Checked, Count, CountOr0
@@ -48,37 +49,6 @@ class DisplacementSettings(Checked):
     hazard: Hazard = "per_rollout"
     discs: CountOr0 = 16
     guarded: bool = False
-
-
-@dataclass
-class Touched:
-    """Rollouts that touch the object, sorted by when they first do; changed in place as they are carried on."""
-
-    sample: Int[Tensor, "R"]
-    start: Int[Tensor, "R"]
-    controls: Float[Tensor, "R H A"]
-    draws: Float[Tensor, "R S"]
-    now: Float[Tensor, "R Q"]
-    way: Float[Tensor, "R Q"]  # free motion of a mini step
-    offset: Float[Tensor, "R 3"]
-    strayed: Bool[Tensor, "R"]  # was held up, hence off the free path
-    stuck: Bool[Tensor, "R"]  # held up, and would be again at every mini step left of this step, or at its end
-
-    @classmethod
-    def at_first_contact(
-        cls,
-        path: Float[Tensor, "K S1 Q"],
-        controls: Float[Tensor, "K H A"],
-        draws: Float[Tensor, "KM S"],
-        start: Int[Tensor, "KM"],
-        rows: Int[Tensor, "R"],
-    ) -> Self:
-        """Rollouts `rows` at the start of the mini step in which each first touches, on the free path until then."""
-        sample, first = rows // (len(draws) // len(path)), start[rows]
-        now, no = path[sample, first], torch.zeros(len(rows), dtype=torch.bool, device=rows.device)
-        way = path[sample, first + 1] - now
-        offset = torch.zeros_like(now[:, :3])
-        return cls(sample, first, controls[sample], draws[rows], now, way, offset, no, no.clone())
 
 
 class DisplacementRollouts:

@@ -13,7 +13,7 @@ from rumi.dynamics.sliding_numba import settled, slope, turned
 from rumi.robot.border import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
-from sdf.grid_numba import at, next_to, node, pair, put
+from sdf.intrinsics_numba import at, next_to, node, pair, put
 from sdf.part_numba import indices
 
 

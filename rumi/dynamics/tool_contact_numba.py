@@ -12,7 +12,8 @@ import numpy as np
 
 from rumi.dynamics.tool_contact import GRAZE_M, GROUP, LEVEL
 from sdf.compiled import bare
-from sdf.grid_numba import at, fast, put, value, value_and_gradient
+from sdf.grid_numba import fast, value, value_and_gradient
+from sdf.intrinsics_numba import at, put
 
 _ROUNDED_M = 1e-6  # that single precision may take from a distance
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -23,6 +23,8 @@ InformationMode = Literal["surrogate", "reverse_kl", "forward_kl", "sensor_mi"]
 
 # Pairs (pose, point) that one chunk holds: about 15 temporaries of this many floats live at once.
 CHUNK_BYTES = 64 * 2**20
+
+_SHARPNESS = 100.0  # 1/m, of the sensor model
 
 
 class WorkspaceFields(NamedTuple):
@@ -53,7 +55,7 @@ class InformationSettings(Checked):
         peakiness: lambda of the pose posterior (Eq 10); not used by `sensor_mi`.
         free_scale: C of the free and occupied terms (Eqs 4-5); not used by `sensor_mi`.
         tolerance: metres, 0 or more, by which a free or occupied point may be violated (alpha = -tolerance).
-        sharpness: of the sensor model, 1/m.
+        sharpness: of the sensor model, 1/m; None for 100, and in plans of guarded moves in space for 300.
         surface_tolerance: metres within which the sensor model calls a point surface for sure.
         tail: points that are at most this likely to be surface under every pose are taken as free and void of
             information without being looked up; 0 looks up all.
@@ -63,9 +65,13 @@ class InformationSettings(Checked):
     peakiness: NotNegative = 2.0
     free_scale: NotNegative = 10.0
     tolerance: NotNegative = 0.0
-    sharpness: Positive = 100.0
+    sharpness: Positive | None = None
     surface_tolerance: NotNegative = 0.003
     tail: ShareBelow1 = 1e-6
+
+    def sharpness_of(self) -> float:
+        """The sensor model's sharpness, 1/m: what is set, or else 100."""
+        return _SHARPNESS if self.sharpness is None else self.sharpness
 
 
 @full_precision
@@ -77,7 +83,7 @@ def information_from_distances(
     peakiness: float | Tensor = 2.0,
     free_scale: float | Tensor = 10.0,
     tolerance: float | Tensor = 0.0,
-    sharpness: float | Tensor = 100.0,
+    sharpness: float | Tensor = _SHARPNESS,
     surface_tolerance: float | Tensor = 0.003,
 ) -> WorkspaceFields:
     """Semantics (RUMI, Eq 27) and information of points from their signed distances to every pose.
@@ -176,7 +182,8 @@ def information_field(
     # one such pose would hide the object from all points, whatever its weight
     check_finite("world_T_object", world_T_object)
     settings = settings or InformationSettings()
-    values: dict[str, Any] = {f.name: getattr(settings, f.name) for f in fields(settings)} | parameters
+    values: dict[str, Any] = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    values |= {"sharpness": settings.sharpness_of()} | parameters
     tail = values.pop("tail")
     numbers = [values[name] for name in ("sharpness", "surface_tolerance")]
     if is_eager():
@@ -281,8 +288,9 @@ class InformationField(Numbers):
         used = ["sharpness", "surface_tolerance"]
         if self.settings.mode != "sensor_mi":
             used += ["peakiness", "free_scale"]
+        own = replace(self.settings, sharpness=self.settings.sharpness_of())
         for name in self._names:
-            self.enter(name, getattr(self.settings, name), Range.POSITIVE if trainable and name in used else None)
+            self.enter(name, getattr(own, name), Range.POSITIVE if trainable and name in used else None)
 
     def forward(
         self,

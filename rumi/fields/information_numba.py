@@ -9,7 +9,8 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import block, lattice_of, layer_value, put, summed, value
+from sdf.grid_numba import block, lattice_of, layer_value, summed, value
+from sdf.intrinsics_numba import put
 from sdf.part_numba import indices
 from sdf.posed import common_height
 from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments

@@ -3,7 +3,8 @@
 import math
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import at, lattice_of, layer_value_and_gradient, value_and_gradient
+from sdf.grid_numba import lattice_of, layer_value_and_gradient, value_and_gradient
+from sdf.intrinsics_numba import at
 from sdf.part_numba import indices
 from sdf.posed import common_height
 from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments

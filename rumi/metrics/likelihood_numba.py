@@ -8,7 +8,8 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import at, block, exact, fast, lattice_of, put, value
+from sdf.grid_numba import block, exact, fast, lattice_of, value
+from sdf.intrinsics_numba import at, put
 from sdf.part_numba import indices
 
 _LOG2_E = 1.0 / math.log(2.0)

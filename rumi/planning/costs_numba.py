@@ -9,7 +9,8 @@ import math
 import numpy as np
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import at, block, put
+from sdf.grid_numba import block
+from sdf.intrinsics_numba import at, put
 from sdf.part_numba import indices
 
 

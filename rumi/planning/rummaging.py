@@ -2,34 +2,32 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from kmppi import MPPI, ControlPlan, Rollouts
+from kmppi import MPPI, ControlPlan
 from rumi import seeding
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.clock import Now, Stopwatch
-from rumi.dynamics.base import PushDefaults, PushRollouts, RolloutModel
+from rumi.dynamics.base import PushDefaults, RolloutModel
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import WorkspaceFields, information_field
 from rumi.planning.objective import (
     Objective,
     TrajectoryCost,
-    gathered_by_action,
     gathering,
     sensing_points,
     without,
 )
 from rumi.planning.plan_budget import PlanBudget
+from rumi.planning.planning_model import PlanningModel
 from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging_settings import RummagingSettings
-from rumi.planning.sampled_paths import sampled_paths
-from rumi.robot.tool import Tool
 from sdf import gpu, skipped_work
 from sdf.check import may_look
 
@@ -131,7 +129,7 @@ class RummagingPolicy:
                 return self._carried_on(previous, start, executed, scene, budget)
             view = self._view_in_time(belief, scene, previous, budget, watch, poses, suited)
             if not budget.open and not budget.knows("finish"):
-                budget.timed("finish", 1.0, lambda: self._predicted(view, configuration, start, watch))
+                budget.timed("finish", 1.0, lambda: view.predicted(configuration, start, watch))
 
             coarse, few = view.model.coarse(), min(self.settings.screen_rollouts, count)
 
@@ -171,59 +169,14 @@ class RummagingPolicy:
             watch.lap("planner")
             ending = budget.now()
             unseen = () if may_look(poses) else (poses.sum(), belief.log_weights.amax(), configuration.sum())
-            plan = self._plan(view, scene.tool, configuration, nominal, samples, unseen, work, watch)
+            predicted, gathered = view.predicted(configuration, nominal, watch)
+            told = _fetched(view.told(samples, predicted, gathered), unseen, work)
+            plan = view.plan(scene.tool, configuration, nominal, samples, predicted, told, watch)
             budget.took("finish", 1.0, budget.now() - ending)
             if not budget.open:
                 made = {"pace": budget.pace, "particles": view.particles, "samples": budget.samples}
                 plan = replace(plan, info=plan.info | made)
         return replace(plan, skipped=work.skipped() | view.objective.skipped)
-
-    def _plan(
-        self,
-        view: "PlanningModel",
-        tool: Tool,
-        configuration: Float[Tensor, "Q"],
-        nominal: ControlPlan,
-        samples: Rollouts,
-        unseen: tuple[Tensor, ...],
-        work: skipped_work.Account,
-        watch: Stopwatch,
-    ) -> Plan:
-        predicted, gathered = self._predicted(view, configuration, nominal, watch)
-        fields, objective = view.fields, view.objective
-        told = (samples.ess, samples.costs, fields.information.sum(), predicted.displacements[0, 0], gathered)
-        ess, costs, information, moves, gathered, *rest = gpu.fetched(*told, *unseen, *work.pending())
-        if not all(math.isfinite(float(number)) for number in (ess, *rest[: len(unseen)])):
-            raise ValueError("Expected finite poses, weights, configuration and costs, got NaN or infinity among them")
-        work.settle([float(number) for number in rest[len(unseen) :]])
-        return Plan(
-            controls=nominal.controls,
-            path=predicted.configurations[0, 0],
-            warm_start=nominal,
-            fields={"information": fields.information, "p_free": fields.semantics[..., 0]} | objective.maps,
-            timings_s=watch.laps,
-            info={
-                "ess": float(ess),
-                "iterations": samples.iterations,
-                "least_cost": float(costs.min()),
-                "information_total": float(information),
-                "displacement": moves[-1].tolist(),
-                "predicted_information": gathered.tolist(),
-                "predicted_displacement": torch.diff(moves, dim=0).tolist(),
-            }
-            | objective.info,
-            samples=sampled_paths(tool, configuration, samples, costs),
-        )
-
-    def _predicted(
-        self, view: "PlanningModel", configuration: Float[Tensor, "Q"], nominal: ControlPlan, watch: Stopwatch
-    ) -> tuple[PushRollouts, Float[Tensor, "H"]]:
-        """What a plan is expected to do, and what each of its actions gathers."""
-        predicted = view.model.nominal_rollout(configuration, nominal.controls)
-        watch.lap("dynamics")
-        gathered = gathered_by_action(view.objective.gathered, predicted)
-        watch.lap("costs")
-        return predicted, gathered
 
     def _view_in_time(
         self,
@@ -234,7 +187,7 @@ class RummagingPolicy:
         watch: Stopwatch,
         poses: Float[Tensor, "N 4 4"] | None = None,
         suited: PushDefaults | None = None,
-    ) -> "PlanningModel":
+    ) -> PlanningModel:
         """All that motions are judged by, of as many particles as there is time for.
 
         The belief's poses and what suits it are worked out where they are not given.
@@ -369,20 +322,14 @@ class RummagingPolicy:
         return mppi.shift(previous.warm_start, executed), self.settings.mppi.iterations
 
 
-class PlanningModel(NamedTuple):
-    """Model of one plan: the fields, rollouts and costs that it evaluates motions by.
-
-    Attributes:
-        particles: that it is made of.
-        fields: of them on the workspace.
-        model: how the object is pushed.
-        worth: what a motion is worth.
-    """
-
-    particles: int
-    fields: WorkspaceFields
-    model: RolloutModel
-    objective: Objective
+def _fetched(told: Sequence[Tensor], unseen: Sequence[Tensor], work: skipped_work.Account) -> list[Tensor]:
+    """What is told of a plan, on the host, once what nobody looked at before is seen to be finite."""
+    found = gpu.fetched(*told, *unseen, *work.pending())
+    kept, seen, pending = found[: len(told)], found[len(told) :][: len(unseen)], found[len(told) + len(unseen) :]
+    if not all(math.isfinite(float(number)) for number in (kept[0], *seen)):
+        raise ValueError("Expected finite poses, weights, configuration and costs, got NaN or infinity among them")
+    work.settle([float(number) for number in pending])
+    return kept
 
 
 def info_only(settings: RummagingSettings | None = None) -> RummagingPolicy:

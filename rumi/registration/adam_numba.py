@@ -6,7 +6,8 @@ import numpy as np
 
 from rumi.registration.descent_numba import copy, gather, given, retract, violable
 from sdf.compiled import Kernel
-from sdf.grid_numba import at, exact, fast, lattice_of, value_and_gradient
+from sdf.grid_numba import exact, fast, lattice_of, value_and_gradient
+from sdf.intrinsics_numba import at
 from sdf.part_numba import indices
 from sensors.discrepancy_numba import placed
 from sensors.tiles_numba import local, near_points

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import at, exact, fast, lattice_of, put, value, value_and_gradient
+from sdf.grid_numba import exact, fast, lattice_of, value, value_and_gradient
+from sdf.intrinsics_numba import at, put
 from sdf.part_numba import indices
 from sensors.discrepancy_numba import placed, prepare
 from sensors.tiles_numba import local, near_points

@@ -63,7 +63,7 @@ def sensor_model(distance: Float[Tensor, "V"]) -> Float[Tensor, "V 3"]:
     own = InformationSettings()
     one = torch.zeros(1, dtype=distance.dtype)
     return information_from_distances(
-        distance[None], one, sharpness=own.sharpness, surface_tolerance=own.surface_tolerance
+        distance[None], one, sharpness=own.sharpness_of(), surface_tolerance=own.surface_tolerance
     ).semantics
 
 
@@ -81,7 +81,7 @@ def draw_sensor_model(task: str, seed: int, cache_dir: Path, path: Path) -> str:
     own = InformationSettings()
     return (
         f"Within {1e3 * own.surface_tolerance:g} mm a point counts as surface for sure; farther off that falls by a "
-        f"factor of e in {1e3 / own.sharpness:g} mm."
+        f"factor of e in {1e3 / own.sharpness_of():g} mm."
     )
 
 

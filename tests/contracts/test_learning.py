@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests.fixtures.learning_checks import ALONE, QUICK, SLOW
-from tests.fixtures.learning_pieces import PIECES, Piece
+from tests.fixtures.learning_pieces import PIECES
+from tests.fixtures.piece import Piece
 
 # of torch's own transforms: rules that are compiled by what it is about to give up, or not there yet
 pytestmark = [

@@ -1,4 +1,4 @@
-"""The displacement model, in a plane and in space, against a loop that spells Alg 7 out and what pushing must do."""
+"""The displacement model, in a plane and in space: what its bound leaves out, and what pushing must do."""
 
 import math
 from typing import get_args
@@ -15,91 +15,13 @@ from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.primitives import Box, Mug, Sphere
-from tests.fixtures.push_fields import (
-    BOUNDS,
-    F64,
-    HEIGHT,
-    begin,
-    belief_field,
-    make_tool,
-    spread_field,
-    workspace,
-)
+from tests.fixtures.push_fields import BOUNDS, F64, HEIGHT, belief_field, make_tool, spread_field, workspace
 
 # every test of this file holds for the plain and for the compiled versions
 pytestmark = [
     pytest.mark.usefixtures("version"),
     pytest.mark.parametrize("version", ["torch", "numba", "warp"], indirect=True),
 ]
-
-
-def reference(
-    field: ContactField, tool: Tool, settings: DisplacementSettings, start: Tensor, controls: Tensor, draws: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """RUMI's Alg 7 as corrected, one rollout, one mini step and one point after the other."""
-    samples, rollouts, horizon, parts = draws.shape
-    states = torch.zeros(samples, rollouts, horizon + 1, len(start), dtype=start.dtype)
-    moved = torch.zeros_like(states[..., :3])
-    contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
-    for k in range(samples):
-        for m in range(rollouts):
-            q, d = start, torch.zeros(3, dtype=start.dtype)
-            states[k, m, 0] = q
-            for h in range(horizon):
-                way = (tool.free_step(q, controls[k, h])[0] - q) / settings.mini_steps
-                for part in range(settings.mini_steps):
-                    ahead = q + way
-                    points = tool.points(ahead)
-                    meets = field.probability.interpolate(points - d)
-                    if not float(draws[k, m, h, min(part, parts - 1)]) < float(meets.max()):
-                        q = ahead
-                        continue
-                    contact[k, m, h] = True
-                    i = int((meets > meets.max() - 1e-5).nonzero()[0, 0])
-                    motion = points[i] - tool.points(q)[i]
-                    normal = field.normal.interpolate((points - d)[i])
-                    if float(normal.norm()) >= 1e-6 and float(motion.norm()) >= 1e-6:
-                        cosine = -float(normal @ motion / (normal.norm() * motion.norm()))
-                        sideways = not tool.spatial or float(normal[:2].norm()) >= abs(float(normal[2]))
-                        if math.acos(max(-1.0, min(1.0, cosine))) < settings.push_angle and sideways:
-                            q, d = ahead, d + motion * motion.new_tensor([1.0, 1.0, 0.0])
-                    if settings.guarded:
-                        break
-                states[k, m, h + 1], moved[k, m, h + 1] = q, d
-    return states, moved, contact
-
-
-@pytest.mark.parametrize("guarded", [False, True])
-@pytest.mark.parametrize("hazard", get_args(Hazard))
-@pytest.mark.parametrize(
-    ("spatial", "discs", "reaching"),
-    [*((False, discs, reaching) for discs in (0, 5) for reaching in (False, True)), (True, 0, False), (True, 5, True)],
-)
-def test_is_the_algorithm(
-    hazard: Hazard, guarded: bool, spatial: bool, discs: int, reaching: bool, generator: torch.Generator
-) -> None:
-    settings = DisplacementSettings(mini_steps=3, hazard=hazard, discs=discs, guarded=guarded)
-    field = spread_field(F64, generator, spatial)
-    tool = make_tool(F64, reaching=reaching, spacing=0.03 if spatial else 0.02, spatial=spatial)
-    start, count = begin(F64, spatial, 0.02), 6 if spatial else 12
-    controls = 1.2 * torch.rand(count, 4, len(start), generator=generator, dtype=F64) - 0.5
-    model = DisplacementRollouts(field, tool, settings)
-    draws = model.draw(count, 3, 4, generator=generator)
-    result = model.rollout_drawn(start, controls, draws)
-    states, moved, contact = reference(field, tool, settings, start, controls, draws)
-    assert torch.equal(result.contact, contact)
-    torch.testing.assert_close(result.configurations, states, atol=1e-9, rtol=0)
-    torch.testing.assert_close(result.displacements, moved, atol=1e-9, rtol=0)
-    # the case is worth its name: there is contact and none, pushing and blocking, and rollouts that differ
-    assert float(result.touched.double().mean()) > 0.1
-    assert 0.1 < float(contact.double().mean()) < 0.95
-    assert float(moved.norm(dim=-1).max()) > 0.02
-    assert bool((result.contact & (moved[:, :, 1:] == moved[:, :, :-1]).all(-1)).any())
-    if spatial:
-        assert float(moved[..., 2].abs().max()) == 0.0 and float((states[..., 2] - 0.12).abs().max()) > 0.05
-    else:
-        assert float(result.touched.double().mean()) < 0.95
-        assert result.checked < 0.6 if discs else result.checked > 0.3
 
 
 @pytest.mark.parametrize("hazard", get_args(Hazard))
@@ -114,9 +36,9 @@ def test_bound_changes_nothing_but_the_work(hazard: Hazard, spread: float | None
         field = belief_field(Mug(), se3.from_planar(place), workspace(torch.float32))
         start = torch.tensor([0.28, 0.0, 0.0])
     tool = make_tool(torch.float32, reaching=True, spacing=0.012 if spatial else 0.006, spatial=spatial)
-    controls = torch.rand(150, 10, len(start), generator=generator) * 2 - 1
+    controls = torch.rand(60, 10, len(start), generator=generator) * 2 - 1
     every = DisplacementRollouts(field, tool, DisplacementSettings(hazard=hazard, discs=0))
-    draws = every.draw(150, 4, 10, generator=generator)
+    draws = every.draw(60, 4, 10, generator=generator)
     exact = every.rollout_drawn(start, controls, draws)
     for discs in (1, 8):
         lean = DisplacementRollouts(field, tool, DisplacementSettings(hazard=hazard, discs=discs))

@@ -64,6 +64,15 @@ def test_golden(golden: Callable[[str], dict[str, Any]], mode: InformationMode) 
     torch.testing.assert_close(fields.information, torch.tensor(expected[GOLDEN_NAMES[mode]], **double), **tolerance)
 
 
+def test_a_sharpness_that_is_not_set_is_100(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    given = *beliefs(), points
+    unset, hundred, other = (
+        information_field(mug, *given, InformationSettings(sharpness=sharpness)).information
+        for sharpness in (None, 100.0, 300.0)
+    )
+    assert torch.equal(unset, hundred) and not torch.equal(unset, other)
+
+
 def test_golden_outside(golden: Callable[[str], dict[str, Any]], mug: SDF, beliefs: Beliefs) -> None:
     case = golden("rumi.outside")
     fields = information_field(mug, *beliefs(), torch.tensor([case["inputs"]["x"]], dtype=torch.float64))

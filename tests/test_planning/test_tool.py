@@ -120,13 +120,13 @@ def test_rows_of_a_batch_equal_single_steps_at_the_limit(tool, dtype):
     q = reachable_starts(tool, 2000).to(dtype)
     u = (q * torch.tensor([2.0, 2.0, 0.0], dtype=dtype) + 0.3 * controls(2000, seed=4).to(dtype)).clamp(-1, 1)
     held = ~tool._inside(q + u * tool.scale)
-    q, u = q[held], u[held]
+    q, u = q[held][:120], u[held][:120]
     batch, _ = tool.free_step(q, u)
     turned = ((batch[:, 2] - q[:, 2] - u[:, 2] * tool.scale[2]).abs() > 1e-3).sum()
-    assert len(q) > 500 and int(turned) > 100
-    for row in range(0, 500, 50):
+    assert len(q) == 120 and int(turned) > 20
+    for row in range(0, 120, 12):
         assert torch.equal(tool.free_step(q[row], u[row])[0], batch[row])
-    for size in (2, 3, 7, 16, 33, 250):
+    for size in (2, 3, 7, 16, 33, 100):
         parts = zip(q.split(size), u.split(size), strict=True)
         assert torch.equal(torch.cat([tool.free_step(*part)[0] for part in parts]), batch)
 

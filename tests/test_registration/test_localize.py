@@ -18,56 +18,27 @@ from sdf import backend, compiled, se3, so3
 from sdf.mesh.mesh import MeshError, TriangleMesh
 from sdf.surface import sample_triangles
 from sdf.symmetry import Symmetries
+from tests.fixtures import meshes
 
 pytest.importorskip("scipy")
 
 F64 = torch.float64
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-
-
-def box_mesh(size=(0.06, 0.09, 0.14), low=(0.01, -0.02, 0.03)):
-    """A box whose frame is not in its middle."""
-    corners = torch.cartesian_prod(*[torch.tensor([0.0, x], dtype=F64) for x in size]) + torch.tensor(low, dtype=F64)
-    faces = [(q[0], q[k], q[k + 1]) for q in QUADS for k in (1, 2)]
-    return TriangleMesh(corners, torch.tensor(faces))
-
-
-def wedge_mesh():
-    """A tetrahedron without symmetries."""
-    corners = [[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.02, 0.1, 0.0], [0.03, 0.02, 0.07]]
-    return TriangleMesh(torch.tensor(corners, dtype=F64), torch.tensor([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
-
-
-def cylinder_mesh(radius=0.03, height=0.2, sides=36):
-    angle = 2.0 * math.pi * torch.arange(sides, dtype=F64) / sides
-    ring = torch.stack((radius * angle.cos(), radius * angle.sin()), -1)
-    rings = [torch.cat((ring, torch.full((sides, 1), z, dtype=F64)), -1) for z in (0.0, height)]
-    ends = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, height]], dtype=F64)
-    faces = []
-    for i in range(sides):
-        j = (i + 1) % sides
-        faces += [
-            (i, j, sides + j),
-            (i, sides + j, sides + i),
-            (2 * sides, j, i),
-            (2 * sides + 1, sides + i, sides + j),
-        ]
-    return TriangleMesh(torch.cat((*rings, ends)), torch.tensor(faces))
 
 
 @pytest.fixture(scope="module")
 def box():
-    return TouchSurface.of(box_mesh())
+    # its frame is not in its middle
+    return TouchSurface.of(meshes.box((0.03, 0.045, 0.07), center=(0.04, 0.025, 0.1)))
 
 
 @pytest.fixture(scope="module")
 def wedge():
-    return TouchSurface.of(wedge_mesh())
+    return TouchSurface.of(meshes.wedge())
 
 
 @pytest.fixture(scope="module")
 def cylinder():
-    return TouchSurface.of(cylinder_mesh())
+    return TouchSurface.of(meshes.cylinder())
 
 
 def touches(surface, count, noise=0.0, seed=3):
@@ -216,7 +187,7 @@ def test_priors_and_meshes_that_cannot_be(wedge):
     with pytest.raises(ValueError, match="radius above 0"):
         localize(wedge, points, prior=PositionPrior(torch.zeros(3), torch.zeros(3)))
     with pytest.raises(MeshError, match="millimetres"):
-        TouchSurface.of(TriangleMesh(wedge_mesh().vertices * 1000, wedge_mesh().faces))
+        TouchSurface.of(TriangleMesh(meshes.wedge().vertices * 1000, meshes.wedge().faces))
     line = TriangleMesh(torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], dtype=F64), torch.tensor([[0, 1, 2]]))
     with pytest.raises(MeshError):
         TouchSurface.of(line)

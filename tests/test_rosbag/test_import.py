@@ -14,30 +14,12 @@ from rumi.rosbag.bag import import_bag
 from rumi.rosbag.mapping_file import mapping_of
 from sensors.log.reader import Log
 from sensors.log.writer import Odd
-
-ALL = """
-schema = 1
-[topics]
-"/cloud" = "cloud"
-"/depth" = { role = "depth", camera = "/info" }
-"/metres" = "depth"
-"/color" = "color"
-"/info" = "camera"
-"/wrench" = { role = "wrench", frame = "wrist" }
-"/joints" = "joints"
-"/touched" = "contact"
-[frames]
-world = "base"
-tool = "hand"
-[scene]
-builtin = "mug"
-within = [[0, 0, 0], [1, 1, 1]]
-"""
+from tests.fixtures.bags import ALL_ROLES
 
 
 @pytest.fixture
 def mapping():
-    return mapping_of(ALL)
+    return mapping_of(ALL_ROLES)
 
 
 def wrenches(bags, folder, stamps, received=None, **options):
@@ -112,7 +94,7 @@ def test_every_kind_of_message(bags, tmp_path, mapping, mcap):
 def test_the_map_stays_with_the_log(bags, tmp_path, mapping):
     import_bag(wrenches(bags, tmp_path / "bag", [0, 1]), mapping, tmp_path / "log.h5")
     with Log(tmp_path / "log.h5") as log:
-        assert log.texts["map"] == ALL
+        assert log.texts["map"] == ALL_ROLES
         assert log.texts["bag"] == "bag.mcap"
         assert log.settings is None
 
@@ -244,7 +226,7 @@ def test_numbers_that_no_column_holds_cost_their_message_alone(bags, tmp_path, m
 
 
 def test_frames_and_topics_with_like_names_stay_apart(bags, tmp_path):
-    text = ALL.replace('"/touched" = "contact"', '"/wrench/force" = "felt"')
+    text = ALL_ROLES.replace('"/touched" = "contact"', '"/wrench/force" = "felt"')
     children = ["cam/left", "cam_left", "cam%2Fleft", "left", "left/static", "."]
     maker = bags.Maker(tmp_path / "bag")
     for index, child in enumerate(children):
@@ -275,7 +257,7 @@ def test_topics_that_are_missing_are_named(bags, tmp_path, mapping):
     (problem,) = done.problems
     assert problem.startswith("the bag has no /cloud, /depth, /metres")
     assert "its topics are /wrench (geometry_msgs/msg/WrenchStamped)" in problem
-    other = mapping_of(ALL.replace('"/wrench"', '"/force"'))
+    other = mapping_of(ALL_ROLES.replace('"/wrench"', '"/force"'))
     with pytest.raises(UsageError, match=r"found none; its topics are /wrench \(geometry_msgs"):
         import_bag(file, other, tmp_path / "none.h5")
     assert not (tmp_path / "none.h5").exists()
@@ -283,19 +265,10 @@ def test_topics_that_are_missing_are_named(bags, tmp_path, mapping):
 
 def test_a_type_that_does_not_suit_its_role_is_named(bags, tmp_path):
     file = wrenches(bags, tmp_path / "bag", [0])
-    wrong = mapping_of(ALL.replace('role = "wrench"', 'role = "cloud"'))
+    wrong = mapping_of(ALL_ROLES.replace('role = "wrench"', 'role = "cloud"'))
     with pytest.raises(UsageError, match=r"Expected /wrench .*WrenchStamped.* to be wrench, got cloud"):
         import_bag(file, wrong, tmp_path / "log.h5")
     assert not list(tmp_path.glob("log*"))
-
-
-def test_topics_have_to_be_a_table():
-    text = re.sub(r"\[topics\]\n.*\[frames\]", "[frames]", ALL, flags=re.DOTALL).replace(
-        "schema = 1", "schema = 1\ntopics = 3"
-    )
-    with pytest.raises(UsageError, match=r"Expected topics to be a table, \[topics\], got 3"):
-        mapping_of(text)
-    assert mapping_of(ALL + "[view]\nfar_m = inf\n").view.far_m == float("inf")
 
 
 def test_what_is_no_bag_is_named(tmp_path, mapping):
@@ -320,13 +293,13 @@ def test_a_folder_without_its_metadata_is_read(bags, tmp_path, mapping):
 
 def test_the_command(bags, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "map.toml").write_text(ALL)
+    (tmp_path / "map.toml").write_text(ALL_ROLES)
     wrenches(bags, tmp_path / "bag", [0, 1, 1])
     assert main(["import", "bag/bag.mcap", "--map", "map.toml"]) == NOT_CONVERGED
     said = capsys.readouterr()
     assert "bag.h5: 3 rows of 1 streams" in said.out and "(1 duplicate)" in said.out
     assert "the bag has no /cloud" in said.err
-    few = re.sub(r'"/(cloud|depth|metres|color|info|joints|touched)" .*\n', "", ALL)
+    few = re.sub(r'"/(cloud|depth|metres|color|info|joints|touched)" .*\n', "", ALL_ROLES)
     fixed = "".join(f'[[fixed]]\nparent = "base"\nchild = "{child}"\n' for child in ("hand", "wrist"))
     (tmp_path / "few.toml").write_text(few + fixed)
     assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == DONE
@@ -349,7 +322,7 @@ def test_the_command(bags, tmp_path, monkeypatch, capsys):
 )
 def test_a_frame_that_is_not_there_is_refused_when_it_is_imported(bags, tmp_path, monkeypatch, capsys, wrong, message):
     monkeypatch.chdir(tmp_path)
-    right = re.sub(r"\[topics\].*\[frames\]", '[topics]\n"/wrench" = "wrench"\n[frames]', ALL, flags=re.DOTALL)
+    right = re.sub(r"\[topics\].*\[frames\]", '[topics]\n"/wrench" = "wrench"\n[frames]', ALL_ROLES, flags=re.DOTALL)
     maker = bags.Maker(tmp_path / "bag")
     maker.wrench("/wrench", bags.START, "hand", np.zeros(6))
     maker.tf(bags.START, "base", "hand", torch.eye(4, dtype=torch.float64))
@@ -364,38 +337,3 @@ def test_a_frame_that_is_not_there_is_refused_when_it_is_imported(bags, tmp_path
     assert main(["import", "bag", "--map", "map.toml"]) == BAD_INPUT
     assert re.search(message, capsys.readouterr().err)
     assert not list(tmp_path.glob("*.h5*"))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("schema = 1", "schema = 2"), "Expected schema = 1 .*, got 2: a newer one needs a newer rumi"),
-        (("schema = 1", "schema = '1'"), "Expected schema = 1 in the mapping, got '1'"),
-        (("schema = 1", ""), "Expected schema = 1 at the top of the mapping, found none: add that line"),
-        (("schema = 1", "schema = 1\nfixed = 3"), r"Expected fixed to be tables, each headed \[\[fixed\]\], got 3"),
-        (("schema = 1", "schema = 1\nsettings = 3"), r"Expected settings to be a table, \[settings\], got 3"),
-        (
-            ("[frames]", "[actions]\nview_s = inf\n[frames]"),
-            "actions: Expected view_s to be 0 or more and finite, got inf",
-        ),
-        (("[frames]", "[actions]\nevery_s = inf\n[frames]"), "actions: Expected every_s above 0 and finite, got inf"),
-        (("[1, 1, 1]]", "[1, inf, 1]]"), "Expected scene.within to be finite"),
-        (('tool = "hand"', 'tool = "hand"\norigin_m = [nan, 0.0]'), "Expected frames.origin_m to be finite"),
-        (("[frames]", '[fixed]\nparent = "a"\nchild = "b"\n[frames]'), "Expected fixed to be tables"),
-        (
-            ('"/cloud" = "cloud"', '"/cloud" = { role = "cloud", unit_m = nan }'),
-            r'topics\."/cloud"\.unit_m to be finite',
-        ),
-        (("[scene]", "[scenery]"), r"no table \[scenery\]"),
-        (('world = "base"', ""), "world"),
-        (('"/cloud" = "cloud"', '"/cloud" = "clown"'), "clown"),
-        (("within = [[0, 0, 0], [1, 1, 1]]", "within = [[0, 0, 0], [1, 0, 1]]"), "a lower and an upper corner"),
-        (("builtin", "buildin"), "no setting scene.buildin; there are"),
-        (("[frames]", "[frames"), "is no TOML"),
-        (("[scene]", "[wrench]\n[scene]"), "expected either radius_m, of a ball or a rod, or mesh"),
-    ],
-)
-def test_mappings_that_are_wrong_are_named(change, message):
-    assert change[0] in ALL
-    with pytest.raises(UsageError, match=message):
-        mapping_of(ALL.replace(*change))

@@ -75,7 +75,7 @@ def test_a_replay_gives_the_recorded_beliefs_bit_for_bit(recorded, capsys):
 @pytest.mark.sim
 def test_a_replay_of_trajectories_is_the_same_too(capsys):
     small = ("--filter.motion", "trajectory", "--filter.trajectories.particles", "16", "--stop.rule", "probability")
-    record("run", "mug", *small, "--simulator.no-measures-motion")
+    record("run", "mug", *small, "--simulator.no-measures-motion", "--steps", "4")
     assert load_run("run").result.contacts > 0
     main(["replay", "run"])
     assert "bit for bit" in said_of_beliefs(capsys)

@@ -14,6 +14,7 @@ from rumi.tasks.rummage.agent import Rummager
 from scripts import learn_plans as example
 from scripts.plan_judging import Method, Moment, paired, parts
 from scripts.plan_proposals import Frame, ProposalNetwork, Scenes, SoftCost, Summary, policy_of
+from scripts.plan_training import Imitation
 from sdf import se3
 
 
@@ -89,7 +90,7 @@ def test_the_soft_cost_has_a_slope_through_controls_path_and_pushed_object(agent
 @pytest.mark.usefixtures("at_home")
 def test_imitation_is_of_the_nearest_plan(agent: Rummager) -> None:
     some, network = scenes(agent), ProposalNetwork(policy_of(agent).settings.mppi)
-    imitation = example.Imitation(agent, network)
+    imitation = Imitation(agent, network)
     far = torch.full((2, 1, 8, 3), -0.5)
     assert float(imitation(torch.cat((some.knots, far), 1), some, 0.0)) == 0.0
     assert float(imitation(far, some, 0.0)) > 1.0

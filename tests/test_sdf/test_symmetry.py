@@ -52,7 +52,7 @@ CASES = {
 
 
 def points_of(shape):
-    return sample_surface(shape, 1500, generator=torch.Generator().manual_seed(0))[0]
+    return sample_surface(shape, 700, generator=torch.Generator().manual_seed(0))[0]
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -227,7 +227,7 @@ def test_free_space_stays_clear_of_all_pixels_about_a_point(scene):
     depth = scene.depth.float().clone()
     depth[::17, ::13] = 0.0
     place = (scene.intrinsics, scene.world_T_camera, BOUNDS)
-    for given in ({"margin_m": 0.01}, {"fraction": 0.95}):
+    for given in ({"margin_m": 0.01, "spacing": 0.01}, {"fraction": 0.95, "spacing": 0.01}):
         wide = {tuple(p) for p in (1e4 * free_points(depth, *place, **given)).round().long().tolist()}
         near = free_lattice(nearest_about(depth, 1), *place, **given)
         found = {tuple(p) for p in (1e4 * near).round().long().tolist()}

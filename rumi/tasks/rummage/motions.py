@@ -18,7 +18,6 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
-from rumi.fields.information import InformationSettings
 from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.registration.descent import Search
 from rumi.robot.gripper import gripper_of
@@ -75,14 +74,13 @@ def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     """The planner's settings with what suits guarded moves in space, where nothing else is asked for.
 
     Plans count on actions that end where they touch, a push costs certainty, and reach is worth less: no action takes
-    the object far. Information is as near to the surface as pads feel it, so that plans touch what is nearly known;
-    a sharpness that is the default one counts as not asked for.
+    the object far. Information is as near to the surface as pads feel it, so that plans touch what is nearly known.
     """
     planner = settings.planner
     if is_planar(spec) or guarded(spec, settings).guarded != "always" or planner.push_model not in (AUTO, _CARRIED):
         return planner
     information = planner.information
-    if information.sharpness == InformationSettings().sharpness:
+    if information.sharpness is None:
         information = replace(information, sharpness=_SHARPNESS)
     return replace(
         planner,

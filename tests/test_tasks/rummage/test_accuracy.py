@@ -75,33 +75,36 @@ def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
 
 
 @pytest.mark.usefixtures("at_home")
-def test_actions_are_guarded_where_nothing_measures_how_the_object_is_pushed(cache):
+def test_actions_are_guarded_where_nothing_measures_how_the_object_is_pushed(all_in_reach):
     guards = {"lab": "always", "ideal": "never"}
     for task, conditions in itertools.product(("mug", "box"), guards):
         settings = preset(task=task, conditions=conditions)
-        with build(settings, cache_dir=cache) as (world, agent):
+        with build(settings, cache_dir=all_in_reach) as (world, agent):
             assert world.settings.guarded == guards[conditions]
             # plans know of it in space
             known = task == "box" and conditions == "lab"
             planner = agent.policy.settings
             assert planner.push.guarded == known and bool(planner.sensed_here) == known
             assert (planner.push_scale, planner.reachability_scale) == ((1.0, 0.5) if known else (None, None))
+            assert planner.information.sharpness == (300.0 if known else None)
             assert agent.stop_rule.most_nll == (agent.nll_threshold if known else None)
             assert agent.filter.settings.trajectories.fresh_m == (0.003 if known else None)
     asked = replace(settings, simulator=replace(settings.simulator, guarded="always"))
-    with build(asked, cache_dir=cache) as (world, _):
+    with build(asked, cache_dir=all_in_reach) as (world, _):
         assert world.settings.guarded == "always"
 
 
 @pytest.mark.usefixtures("at_home")
-def test_what_is_asked_of_plans_is_kept_where_actions_are_guarded(cache):
+def test_what_is_asked_of_plans_is_kept_where_actions_are_guarded(all_in_reach):
     settings = preset(task="drill", **{"planner.push_scale": 0.0, "planner.reachability_scale": 2.0})
     settings = changed(settings, {"planner.sensed_here": False, "filter.trajectories.fresh_m": 0.0})
-    with build(settings, cache_dir=cache) as (_, agent):
+    settings = from_dict(to_dict(changed(settings, {"planner.information.sharpness": 100.0})) | {"made_with": {}})
+    with build(settings, cache_dir=all_in_reach) as (_, agent):
         planner = agent.policy.settings
         assert (planner.push_scale, planner.reachability_scale, planner.sensed_here) == (0.0, 2.0, False)
+        assert planner.information.sharpness == 100.0
         assert planner.push.guarded and agent.filter.settings.trajectories.fresh_m == 0.0
-    with build(changed(settings, {"simulator.guarded": "never"}), cache_dir=cache) as (_, agent):
+    with build(changed(settings, {"simulator.guarded": "never"}), cache_dir=all_in_reach) as (_, agent):
         assert not agent.policy.settings.push.guarded
 
 

@@ -1,0 +1,201 @@
+"""Filter whose particles are trajectories: it takes in anything, follows what nothing measures, and forgets."""
+
+import copy
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.filter_settings import FilterSettings
+from rumi.belief.knocked_trajectories import begun_again
+from rumi.belief.misfit import MisfitSettings
+from rumi.belief.particles import PoseBelief, subsample
+from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
+from rumi.belief.segments import cut, felt_pads, standing
+from rumi.belief.trajectory_history import History
+from rumi.belief.trajectory_moves import Moves
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.along_path import Pusher, push_along_path
+from rumi.dynamics.sliding import Sliding
+from rumi.robot.gripper import GripperShape
+from rumi.seeding import generator
+from sdf import backend, se3
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation, concatenate
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+DOUBLE = {"dtype": torch.float64}
+OWN = PoseTrajectorySettings(particles=60, branches=3, rounds=1)
+SHAPE, HEIGHT = GripperShape(), 0.03
+
+
+@pytest.fixture(autouse=True)
+def settings_of_the_shape() -> Iterator[None]:
+    with backend.force("numba"):
+        yield
+
+
+def felt_by(pose: torch.Tensor, tool: torch.Tensor, model: PushedObject) -> Reading:
+    """What the pads feel of a block at a pose, and free points where they are not."""
+    pads = SHAPE.pad_shell(0.006).double()
+    at = se3.from_planar(tool, HEIGHT)
+    there = se3.apply(at, pads)
+    local = se3.apply(se3.inverse(se3.from_planar(pose, 0.03)), there)
+    felt = model.sdf.distance(local.float()).abs() <= 0.003
+    instant, index = felt.nonzero(as_tuple=True)
+    free = there[:, ::8].reshape(-1, 3)
+    points = concatenate(
+        [Observation.of(there[instant, index].float(), Semantics.SURFACE), Observation.of(free.float(), Semantics.FREE)]
+    )
+    when = torch.cat((instant, torch.arange(len(tool)).repeat_interleave(len(free) // len(tool))))
+    return Reading(points, when, at.float(), felt.any(-1), None, tool[-1].float(), torch.zeros(()))
+
+
+def follow(model, dtype=torch.float32, **changes):
+    settings = replace(FilterSettings(motion="trajectory"), trajectories=replace(OWN, pad_spacing_m=0.006, **changes))
+    sdf = copy.deepcopy(model.sdf).to(dtype)
+    discrepancy = Discrepancy(sdf, 0.08, free_scale=80.0, tolerance=0.001).to(dtype)
+    return PoseTrajectoryFilter(settings, discrepancy, replace(model, sdf=sdf))
+
+
+def begin(followed, dtype=torch.float32, seed=0):
+    around = torch.tensor([[0.0, 0.0, 0.0], [0.004, 0.0, 0.05], [0.0, -0.004, -0.05]], dtype=dtype)
+    wall = torch.linspace(-0.05, 0.05, 12, dtype=dtype)
+    view = Observation.of(torch.stack((0 * wall - 0.04, wall, 0 * wall + 0.03), -1), Semantics.SURFACE)
+    poses = PoseBelief.uniform(se3.from_planar(around, 0.03))
+    return followed.begin(poses, view, generator=generator(seed)), view
+
+
+PUSH = torch.stack((torch.linspace(-0.10, -0.06, 8), torch.full((8,), 0.012), torch.zeros(8)), -1).double()
+AWAY = PUSH - torch.tensor([0.1, 0.0, 0.0], **DOUBLE)
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_a_first_touch_is_met_by_more_particles_where_starts_are_known(model, starts):
+    """Nothing is left open where a motion has begun anew from particles alone: those that there are meet it."""
+    followed = follow(model, first_particles=200, tool_off_m=0.001)
+    belief, memory = begin(followed)
+    now = belief.trajectories
+    if not starts:
+        fresh = Trajectories.drawn(now.pose.clone(), History.empty(), generator(2), systematic=now.systematic)
+        belief = replace(belief, trajectories=fresh)
+    after, _, info = followed(belief, memory, felt_by(0 * PUSH, PUSH, model), generator=generator(1))
+    assert bool(info.moved) and len(after.trajectories) == OWN.particles
+    assert bool(torch.isfinite(after.world_T_object).all())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_filter_follows_a_push_that_nothing_measures(model, dtype):
+    followed = follow(model, dtype)
+    belief, memory = begin(followed, dtype)
+    # away from the object nothing is learnt, and the very same belief comes back
+    same, memory, info = followed(
+        belief, memory, felt_by(0 * PUSH[0], AWAY, model).to(dtype=dtype), generator=generator(1)
+    )
+    assert same is belief and not bool(info.moved)
+    true = push_along_path(
+        torch.zeros(1, 3, **DOUBLE),
+        torch.cat((PUSH[:1], PUSH))[None],
+        Pusher(model.tool),
+        model.outline,
+        Sliding(model.centre, torch.tensor(1.2 * model.spread_m, **DOUBLE), torch.tensor(0.4, **DOUBLE)),
+    ).track[0]
+    reading = felt_by(true, PUSH, model).to(dtype=dtype)
+    assert bool(reading.in_contact.any()) and float(true[-1, 0]) > 0.01
+    runs = [followed(same, memory, reading, generator=generator(2)) for _ in range(2)]
+    assert torch.equal(runs[0][0].world_T_object, runs[1][0].world_T_object)  # the same seed, the same bits
+    belief, memory, info = runs[0]
+    assert bool(info.moved) and bool(info.resampled) and belief.world_T_object.dtype == dtype
+    apart, turned = se3.distance(belief.mode(), se3.from_planar(true[-1], 0.03).to(dtype))
+    assert float(apart) < 0.006 and float(turned) < 0.1
+    # what was taken in bit by bit is what a replay of the whole history gives
+    now = belief.trajectories
+    whole = now.replayed(followed.model, followed.own, now.history, torch.zeros(len(now), dtype=torch.long))
+    torch.testing.assert_close(whole.poses, now.poses, atol=1e-12, rtol=0)
+    torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-9, rtol=0)
+    few = subsample(belief, 10)
+    assert type(few) is PoseBelief and few.world_T_object.shape == (10, 4, 4)
+
+
+def test_after_a_knock_the_object_is_found_by_one_action_about_where_it_was(model):
+    """The block was moved by 30 mm; what the action felt leaves open how far along the face it is."""
+    followed = follow(model, felt_weight=5.0, outliers=1e-4)
+    belief, memory = begin(followed)
+    moved = torch.tensor([-0.03, 0.0, 0.0], **DOUBLE)
+    near = PUSH.clone()
+    near[:, 0] -= 0.046  # up to the face, which is not pushed on
+    reading = felt_by(moved, near, model)
+    assert bool(reading.in_contact.any())
+    after, _, _ = followed(belief, memory, reading, generator=generator(2))
+    found = begun_again(followed, belief, after, MisfitSettings(), generator=generator(3))
+    off, was = (abs(float(poses[:, 0, 3].mean()) + 0.03) for poses in (found.world_T_object, belief.world_T_object))
+    assert off < 0.010 < was
+    assert len(found.trajectories) == len(belief.trajectories) and found.trajectories.pose.isfinite().all()
+    followed(found, memory, reading, generator=generator(4))  # and goes on from there
+    assert begun_again(followed, belief, belief, MisfitSettings(), generator=generator(3)) is None
+
+
+def test_moves_go_on_once_readings_count_in_full_and_not_before(model, monkeypatch):
+    followed, swept, seen = follow(model, rounds=3, felt_weight=20.0, outliers=1e-6), Moves.sweep, []
+
+    def noted(self, given, history, *, whole, rounds=1):
+        seen.append((rounds, history is given.history))
+        return swept(self, given, history, whole=whole, rounds=rounds)
+
+    belief, memory = begin(followed)
+    monkeypatch.setattr(Moves, "sweep", noted)
+    followed(belief, memory, felt_by(0 * PUSH[0], PUSH, model), generator=generator(3))
+    assert set(seen) == {(1, False), (3, True)}
+
+
+@pytest.mark.parametrize("particles", [1, 60])
+def test_odd_beliefs_and_readings_give_no_nan(model, particles):
+    followed = follow(model, particles=particles)
+    belief, memory = begin(followed)
+    only = torch.full((particles,), -torch.inf).index_fill(0, torch.tensor(0), 0.0)
+    belief = replace(belief, log_weights=only)
+    nothing = felt_by(0 * PUSH[0], AWAY, model)
+    nothing = replace(nothing, observation=Observation.empty(), instant=torch.zeros(0, dtype=torch.long))
+    for reading in (nothing, felt_by(0 * PUSH[0], PUSH, model), nothing, felt_by(0 * PUSH[0], PUSH[-1:], model)):
+        belief, memory, _ = followed(belief, memory, reading, generator=generator(3))
+        assert bool(torch.isfinite(belief.world_T_object).all())
+        assert float(belief.log_weights.exp().sum()) == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("readings", [40, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_long_history_is_forgotten_bit_by_bit(model, readings):
+    followed = follow(model, particles=8, memory=10)
+    belief, memory = begin(followed)
+    both = [felt_by(0 * PUSH[0], path, model) for path in (PUSH[-3:], AWAY)]
+    for index in range(readings):
+        belief, memory, _ = followed(belief, memory, both[index % 2], generator=generator(index))
+    now = belief.trajectories
+    assert len(now.history) <= 10 + 2 and now.noise.shape[1] == len(now.history) == now.poses.shape[1] - 1
+    assert not len(now.starts) and bool(torch.isfinite(belief.world_T_object).all())
+    whole = now.replayed(followed.model, followed.own, now.history, torch.zeros(len(now), dtype=torch.long))
+    torch.testing.assert_close(whole.poses, now.poses, atol=1e-12, rtol=0)
+    torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-9, rtol=0)
+
+
+def test_what_is_felt_is_told_from_the_points(model):
+    reading, own = felt_by(0 * PUSH[0], PUSH, model), replace(OWN, pad_spacing_m=0.006)
+    felt = felt_pads(reading, model, own)
+    assert torch.equal(felt.any(-1), reading.in_contact)
+    assert int(felt.sum()) == int(reading.observation.of_class(Semantics.SURFACE).sum())
+    assert torch.equal(torch.cat(cut(reading, own)), torch.arange(len(PUSH)))
+    none = replace(reading, in_contact=torch.zeros_like(reading.in_contact))
+    assert [len(part) for part in cut(none, own)] == [len(PUSH)]
+
+
+def test_free_cells_count_once(model):
+    far = Observation.of(torch.tensor([[0.5, 0.5, 0.03]]), Semantics.FREE)
+    near = Observation.of(torch.tensor([[-0.045, 0.0, 0.03]]), Semantics.FREE)
+    poses = torch.zeros(2, 3, **DOUBLE)
+    assert standing(far, poses, model, OWN) is None
+    first = standing(near, poses, model, OWN)
+    assert len(first.points) == 1
+    assert standing(near, poses, model, OWN, History.empty().appended(first)) is None
