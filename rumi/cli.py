@@ -12,6 +12,7 @@ from typing import NamedTuple, NoReturn
 from rumi import __version__, environment
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED
+from rumi.garbage import put_off, take_up
 
 
 class Command(NamedTuple):
@@ -86,7 +87,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name == "--version":
         sys.stdout.write(f"rumi {__version__}\n")
         return DONE
-    return _guarded(lambda: _carry_out(name, arguments[1:]))
+    try:
+        return _guarded(lambda: _carry_out(name, arguments[1:]))
+    finally:
+        if argv is not None:  # or the process ends, for which there is no need to look through it all once more
+            take_up()
 
 
 def script(work: Callable[[], object]) -> NoReturn:
@@ -111,7 +116,8 @@ def _carry_out(name: str, arguments: Sequence[str]) -> int:
     # NumPy's library of linear algebra reads this when it is loaded; its threads spin, and matrices are small
     own = any(os.environ.get(variable) for variable in environment.LIBRARIES)
     with environment.variables({} if own else {"OPENBLAS_NUM_THREADS": "1"}):
-        from sdf.threads import chosen  # loads torch: only now, so that help is quick
+        with put_off():
+            from sdf.threads import chosen  # loads torch: only now, so that help is quick
 
         with chosen():
             return _call(name, arguments)
@@ -119,7 +125,9 @@ def _carry_out(name: str, arguments: Sequence[str]) -> int:
 
 def _call(name: str, arguments: Sequence[str]) -> int:
     module, _, function = COMMANDS[name].address.partition(":")
-    return int(getattr(import_module(module), function)(arguments))
+    with put_off():
+        command = getattr(import_module(module), function)
+    return int(command(arguments))
 
 
 def _guarded(work: Callable[[], int]) -> int:

@@ -20,6 +20,27 @@ def set_aside() -> Iterator[None]:
         gc.unfreeze()
 
 
+@contextmanager
+def put_off() -> Iterator[None]:
+    """Within the block nothing is collected, and what there is at its end is left alone until `take_up`.
+
+    Around loading libraries, a quarter of whose time goes into looking through what they make: few of it is garbage.
+    """
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        if collecting:
+            gc.enable()
+
+
+def take_up() -> None:
+    """Let all be collected again."""
+    gc.unfreeze()
+
+
 def give_back() -> None:
     """Collect garbage, and hand memory that is free back to the system, where the C library can (glibc)."""
     gc.collect()
