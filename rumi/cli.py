@@ -6,12 +6,14 @@ A subcommand is an address in a table, so that help is there at once: nothing is
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from typing import NamedTuple, NoReturn
 
 from rumi import __version__, environment
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED
+from rumi.garbage import put_off
 
 
 class Command(NamedTuple):
@@ -54,6 +56,8 @@ COMMANDS = {
 _OWN_THREADS = ("bench", "stress", "view")
 """Those that choose their threads themselves: to measure, or since they may end before they need any."""
 
+_Context = Callable[[], AbstractContextManager[None]]
+
 
 def help_text() -> str:
     """What `rumi --help` prints."""
@@ -86,7 +90,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name == "--version":
         sys.stdout.write(f"rumi {__version__}\n")
         return DONE
-    return _guarded(lambda: _carry_out(name, arguments[1:]))
+    loading = put_off if argv is None else nullcontext  # a process that has a caller of this goes on after it
+    return _guarded(lambda: _carry_out(name, arguments[1:], loading))
 
 
 def script(work: Callable[[], object]) -> NoReturn:
@@ -103,23 +108,26 @@ def script(work: Callable[[], object]) -> NoReturn:
     sys.exit(_guarded(done))
 
 
-def _carry_out(name: str, arguments: Sequence[str]) -> int:
+def _carry_out(name: str, arguments: Sequence[str], loading: _Context) -> int:
     if name not in COMMANDS:
         raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
     if name in _OWN_THREADS:
-        return _call(name, arguments)
+        return _call(name, arguments, loading)
     # NumPy's library of linear algebra reads this when it is loaded; its threads spin, and matrices are small
     own = any(os.environ.get(variable) for variable in environment.LIBRARIES)
     with environment.variables({} if own else {"OPENBLAS_NUM_THREADS": "1"}):
-        from sdf.threads import chosen  # loads torch: only now, so that help is quick
+        with loading():
+            from sdf.threads import chosen  # loads torch: only now, so that help is quick
 
         with chosen():
-            return _call(name, arguments)
+            return _call(name, arguments, loading)
 
 
-def _call(name: str, arguments: Sequence[str]) -> int:
+def _call(name: str, arguments: Sequence[str], loading: _Context) -> int:
     module, _, function = COMMANDS[name].address.partition(":")
-    return int(getattr(import_module(module), function)(arguments))
+    with loading():
+        command = getattr(import_module(module), function)
+    return int(command(arguments))
 
 
 def _guarded(work: Callable[[], int]) -> int:

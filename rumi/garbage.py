@@ -23,6 +23,23 @@ def set_aside() -> Iterator[None]:
             gc.unfreeze()
 
 
+@contextmanager
+def put_off() -> Iterator[None]:
+    """Within the block nothing is collected, and the collector leaves alone for good what there is at its end.
+
+    Around what loads libraries, in a process that ends with what it does: a quarter of the time to load them goes into
+    looking through a million objects, as much at its end, and hardly any is garbage.
+    """
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        if collecting:
+            gc.enable()
+
+
 def give_back() -> None:
     """Collect garbage, and hand memory that is free back to the system, where the C library can (glibc)."""
     gc.collect()

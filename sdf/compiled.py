@@ -67,18 +67,23 @@ def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without t
 
 
 def inner(**options: Any) -> Callable[[FunctionType], Any]:  # noqa: ANN401  (numba's own)
-    """Decorator: compile a function that kernels alone call; a fifth of a kernel's compile time goes into such calls.
+    """Decorator: compile a function that kernels alone call; a third of a kernel's compile time goes into other calls.
 
-    Python cannot call it: what would take its arguments from Python is not made, and says so.
+    Python cannot call it, and it says so: what would take its arguments from Python or C is not made, nor machine code
+    of it by itself (`lean_compiler`).
 
     Args:
         options: of `numba.njit`.
     """
     import numba
 
+    from sdf.lean_compiler import InnerCompiler, quick_to_look_up
+
+    asked = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InnerCompiler, **options}
+
     def make(function: FunctionType) -> Any:  # noqa: ANN401
         compiler: Any = numba.njit  # whose stubs leave these out
-        made = compiler(error_model="numpy", no_cpython_wrapper=True, **options)(function)
+        made = quick_to_look_up(compiler(error_model="numpy", **asked)(function))
 
         def add_overload(result: Any) -> None:  # noqa: ANN401
             made.overloads[tuple(result.signature.args)] = result
@@ -120,12 +125,15 @@ class Kernel:
         import numba
 
         from sdf.kernel_cache import KernelCache
+        from sdf.lean_compiler import KernelCompiler, quick_to_look_up
 
         compiler: Any = numba.njit
-        options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FAST if fast else False}
+        options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FAST if fast else False, "nogil": True}
         self._label = function.__name__.strip("_")
-        self._compiled: Any = compiler(**options, nogil=True)(
-            _renamed(function, f"{function.__name__}_{_stamp(function)}")
+        self._compiled: Any = quick_to_look_up(
+            compiler(**options, no_cfunc_wrapper=True, pipeline_class=KernelCompiler)(
+                _renamed(function, f"{function.__name__}_{_stamp(function)}")
+            )
         )
         self._compiled._cache = KernelCache(self._compiled.py_func)
         self._announced = False
@@ -161,8 +169,8 @@ class Kernel:
 def _stamp(function: FunctionType) -> str:
     """Digest of what a function's compiled code hangs on.
 
-    The function's file, those of its building blocks and this one; and the numbers that these import from other files,
-    which compiling freezes.
+    The function's file, those of its building blocks, this one and the compiler's; and the numbers that these import
+    from other files, which compiling freezes.
     """
     met = {function.__module__}
     waiting = [function.__module__]
@@ -173,7 +181,7 @@ def _stamp(function: FunctionType) -> str:
                 met.add(module)
                 waiting.append(module)
     digest = hashlib.sha256()
-    for module in sorted({*met, __name__}):
+    for module in sorted({*met, __name__, "sdf.lean_compiler"}):
         digest.update(Path(str(sys.modules[module].__file__)).read_bytes())
         numbers = {name: value for name, value in vars(sys.modules[module]).items() if isinstance(value, int | float)}
         digest.update(repr(sorted(numbers.items())).encode())

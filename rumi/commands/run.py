@@ -129,7 +129,7 @@ def _carried_out(
         about = entry.as_dict(settings)
         with (
             Progress(name, steps, entry.describe) as progress,
-            kernels_ahead(parts.agent, about) as compiled,
+            kernels_ahead(parts.task, parts.agent, about) as compiled,
             live_view(folder, entry, parts.agent, about) if options.view else nullcontext() as view,
         ):
             on_step = both(recorder, progress, Decisions(account), compiled, *([view] if view else []))

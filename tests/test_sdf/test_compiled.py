@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import pytest
 import torch
+from numba.core.compiler import Flags
 
 from rumi.robot import tool_numba
 from sdf import compiled
@@ -103,3 +104,36 @@ def test_linear_algebra_is_not_loaded_until_it_is_asked_for() -> None:
         "assert product(numpy.eye(2), numpy.ones((2, 2))).sum() == 4; assert 'scipy.linalg' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@compiled.inner()
+def _positive(value):
+    if value < 0.0:
+        raise ValueError("Expected none below 0")
+    return value
+
+
+def _roots(values, result, part):
+    for index in indices(part, len(values)):
+        result[index] = math.sqrt(_positive(values[index]))
+
+
+def test_of_a_function_that_kernels_alone_call_no_machine_code_is_made_by_itself(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    values, result = np.array([4.0, 9.0]), np.zeros(2)
+    compiled.Kernel(_roots)(values, result)
+    np.testing.assert_array_equal(result, [2.0, 3.0])
+    (made,) = _positive.overloads.values()
+    assert made.library.get_pointer_to_function(made.fndesc.mangled_name) == 0
+    for _ in ("compiled", "loaded"):
+        with pytest.raises(ValueError, match="below 0"):
+            compiled.Kernel(_roots)(-values, result)
+
+
+def test_flags_of_one_content_are_one_object_to_the_compiler() -> None:
+    plain, fast = (_positive._compiler._customize_flags(Flags()) for _ in range(2))
+    fast.error_model = "numpy"
+    assert plain.copy() is plain.copy()
+    assert hash(plain.copy()) == hash(plain) == hash(Flags())
+    assert plain.copy() == plain == Flags()
+    assert plain.copy() != fast.copy()
