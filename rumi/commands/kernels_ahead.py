@@ -15,6 +15,7 @@ import torch
 from rumi.belief.particles import PoseBelief
 from rumi.cache import cache_folder
 from rumi.clock import Clock
+from rumi.planning.on_device import PolicyOnDevice
 from rumi.planning.policy import PlanRequest, Scene
 from rumi.records import StepRecord
 from rumi.runs.progress import say
@@ -67,7 +68,7 @@ def kernels_ahead(task: Task, agent: object, settings: dict[str, Any]) -> Iterat
 
 def _kept(agent: Rummager) -> bool:
     """Whether the rollouts of the scene's push model are compiled already, or never will be."""
-    if not compiled.available() or agent.model.surface_points.device.type != "cpu":
+    if not compiled.available() or isinstance(agent.policy, PolicyOnDevice):  # of which no copy of a process may know
         return True
     if agent.tool.spatial:
         from rumi.dynamics.displacement_numba import push_rollouts
