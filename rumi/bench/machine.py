@@ -31,6 +31,8 @@ def environment(device: torch.device) -> dict[str, Any]:
         "python": made_with["python"],
         "versions": versions,
         "threads": made_with["threads"],
-        "clock": "processor" if fitting_clock(made_with["threads"]) is time.process_time else "wall",
+        "clock": "processor"
+        if device.type == "cpu" and fitting_clock(made_with["threads"]) is time.process_time
+        else "wall",
         "commit": made_with["commit"],
     }

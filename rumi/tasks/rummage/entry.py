@@ -30,7 +30,7 @@ from rumi.viz.rummaging_view import RummagingView
 from sensors.reading import Reading
 
 ON_A_GPU = (
-    "plans are made on the GPU, the belief is followed on the CPU; a planning pass took 14 to 16 ms on an NVIDIA H200, "
+    "plans are made on the GPU, the belief is followed on the CPU; a planning pass took 12 to 16 ms on an NVIDIA H200, "
     "40 to 115 ms on one core beside it"
 )
 """What holds of `--device cuda`."""
