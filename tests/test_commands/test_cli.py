@@ -330,19 +330,3 @@ def test_a_report_of_calibration_by_hand():
     assert "50% 67%, 90% 67%, 95% 67%, 99% 67%" in told[2] and "50% 0%, 90% 0%, 95% 100%" in told[3]
     assert "of 3 with 0.95 or more 2 right" in told[5] and "error 0.293" in told[5]
     assert "none touched" in report("mug", [{"stopped_by": "steps", "steps": [{**step, "contacts": 0}]}])
-
-
-def test_what_a_process_loads_for_a_command_is_left_alone_by_the_collector_unless_the_process_goes_on(
-    thaw, monkeypatch
-):
-    seen = []
-
-    def tasks(_):
-        seen.append((gc.get_freeze_count() > 0, gc.isenabled()))
-        return 0
-
-    monkeypatch.setattr("rumi.commands.tasks.tasks", tasks)
-    monkeypatch.setattr("sys.argv", ["rumi", "tasks"])
-    for arguments in (["tasks"], None):
-        assert main(arguments) == 0
-    assert seen == [(False, True), (True, True)]
