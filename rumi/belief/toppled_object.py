@@ -189,8 +189,7 @@ class ToppledObject:
         size = torch.where(done.fell, size.new_tensor(own.fall_m), size) * (done.slid | done.fell)
         # what leans on the tool slips about as the tool moves it
         size = torch.where(done.state.lying[:, 1] >= 0, own.lean * tools_way, size)
-        goes = (length > 1e-9) & ~done.fell & (done.state.lying[:, 1] < 0)
-        along = torch.where(goes[:, None], step[:, :2], done.ahead)
+        along = torch.where((length[:, None] > 1e-9) & ~done.fell[:, None], step[:, :2], done.ahead)
         along = along / along.norm(dim=-1, keepdim=True).clamp_min(1e-9)
         across = torch.stack((-along[:, 1], along[:, 0]), -1)
         own_noise = noise[near, :3] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))

@@ -12,7 +12,6 @@ from sdf.base import SDF
 
 LEVEL = 0.5  # share of a contact's normal that has to be level for it to push
 GRAZE_M = 0.001  # distance from the tool up to which what it presses on from above is dragged along
-HOOKS = 0.25  # depth of a contact that lifts over that of one beside it, from which on it is the one that counts
 GROUP = 16  # points of the tool that lie near each other, as many as the compiled version takes at a time
 
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from rumi.dynamics.tool_contact import GRAZE_M, GROUP, HOOKS, LEVEL
+from rumi.dynamics.tool_contact import GRAZE_M, GROUP, LEVEL
 from sdf.compiled import bare
 from sdf.grid_numba import at, fast, put, value, value_and_gradient
 
@@ -177,8 +177,7 @@ def met(frame, after, tool, box, flat, lattice):
     """What of the tool an object meets: sideways, and from above or below.
 
     Depth sideways, the level normal into the object, and the point of the tool in the world; the same of the steep one,
-    whose normal has three parts. A steep one that is less deep than HOOKS of a level one does nothing, and may be left
-    out.
+    whose normal has three parts. A steep one that is less deep than a level one does nothing, and may be left out.
     The group that can be deepest in it comes first, so that few of the others are left that could be deeper.
     """
     groups, most = tool[1], tool[2]
@@ -203,9 +202,7 @@ def met(frame, after, tool, box, flat, lattice):
 @bare
 def _counts(level, steep):
     """Depth below which a point does nothing."""
-    if level[0] > 0.0:
-        return min(level[0], max(steep[0], HOOKS * level[0]))
-    return min(0.0, steep[0])
+    return level[0] if level[0] > 0.0 else min(0.0, steep[0])
 
 
 @bare

@@ -7,29 +7,32 @@ centre of mass beyond the edge it falls as a pendulum does, slowly at first, and
 
 A *steep* contact, the tool on top of it or below a part that juts out, turns it about the edge for which that takes
 the least force, where that is little more than its weight: pressed down beyond the edge, lifted within it, or dragged
-along by friction near it; behind the edge it rises as far as the tool above lets it. The edge slides where it is the
-tool that sticks (`steep_contact.py`). What is pressed down elsewhere stays, or goes along with the tool.
+along by friction near it; behind the edge it rises as far as the tool above lets it. What is pressed down elsewhere
+stays, or goes along with the tool.
 """
 
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, Touch, contact_twist, moved_by, pushed_out, rotated
-from rumi.dynamics.steep_contact import LEAST_M, OFF_M, SHARE, STICKS, levered, levers, lifted, steeper
 from rumi.dynamics.tool_contact import GRAZE_M, Met, Scene, met_by
 from sdf.base import SDF
 
 MOST_M = 0.012  # that one contact moves an object, at most
+LEAST_M = 0.01  # lever of a lean, at least
+OFF_M = 0.001  # distance of an edge from below the centre of mass, at least
 PASSES, TILTS, HALVES = 2, 2, 5
 ACROSS = 0.3  # cosine to the edge's normal below which a push does not lean on it
 INSTANT_S = 0.05  # duration of a motion
 RATE = 0.5  # rad/s at which a fall begins: a tool that goes 8 cm in a second, 16 cm above the floor
 LANDS_RAD = 0.35  # into a fall, from when on it is as it comes to rest
 SWINGS = 0.75 * 9.81  # m/s^2 over the distance of mass from edge: square of a thin rod's rate of falling
+STICKS = 10.0  # friction of a contact that sticks
+SHARE = 0.5  # lever of a steep contact about an edge, of the weight's, at least: a tool presses with twice the weight
 
 
 class Leaning(NamedTuple):
@@ -95,25 +98,14 @@ def push_in_space(
     if len(falling):
         lying[falling], ahead[falling] = _fallen(rests, planar[falling], lying[falling], limit[falling])
     if len(leaning):
-        there, lying[leaning], ahead[leaning] = _leant(
-            scene, planar[leaning], lying[leaning], body.at(leaning), soft[leaning], before, after
-        )
-        planar = planar.index_copy(0, leaning, there)
+        rubs = body.friction[leaning], soft[leaning]
+        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], *rubs, way)
     free = (lying[:, 1] < 0).nonzero()[:, 0]
     met = met_by(scene, planar[free], lying[free])
-    edge, tilt, lifts, outward = levered(rests, planar[free], lying[free], met, body.friction[free], way)
+    edge, tilt, outward = _levered(rests, planar[free], lying[free], met, body.friction[free], way)
     turns = edge >= 0
     some = free[turns]
     lying[some] = torch.stack((lying[some, 0], edge[turns].to(lying), tilt[turns]), -1)
-    lifting = turns & (lifts > 0)
-    some = free[lifting]
-    if len(some):
-        contact = Met(*(part[lifting] for part in met))
-        there, lying[some, 2] = lifted(
-            rests, planar[some], lying[some], contact, lifts[lifting], before, after, body.at(some)
-        )
-        planar = planar.index_copy(0, some, there)
-    some = free[turns]
     lying[some] = _held_down(scene, planar[some], lying[some], body.friction[some], soft[some], way)
     ahead[some] = outward[turns]
     pushes = ~turns & (met.depth > 0)
@@ -134,8 +126,7 @@ def push_in_space(
         tips = found[leans]
         tilt = depth[leans] / (place[leans, 2] * rate[leans]).clamp_min(LEAST_M)
         lying[tips] = torch.stack((lying[tips, 0], about[leans].to(lying), tilt), -1)
-        there, lying[tips], _ = _leant(scene, planar[tips], lying[tips], body.at(tips), soft[tips], before, after)
-        planar = planar.index_copy(0, tips, there)
+        lying[tips], _ = _leant(scene, planar[tips], lying[tips], body.friction[tips], soft[tips], way)
         slides, now = found[~leans], planar[found[~leans]]
         slid[slides] = True
         start, own, some = now, body.at(slides), torch.arange(len(slides))
@@ -199,34 +190,88 @@ def _edge_ahead(
     return about, off, torch.where(off.isfinite(), rate.gather(-1, about[:, None])[:, 0], torch.zeros_like(off))
 
 
+class _Levers(NamedTuple):
+    """What a steep contact of E objects does about K edges.
+
+    Attributes:
+        lifts: (E, K), metres that the contact goes inward for each radian of tilt.
+        arm: (E, K), lever of its force with friction over the weight's.
+        drag: (E, K), metres that the tool goes outward.
+        outward: (E, K, 2), of each edge, unit, world frame.
+    """
+
+    lifts: Float[Tensor, "E K"]
+    arm: Float[Tensor, "E K"]
+    drag: Float[Tensor, "E K"]
+    outward: Float[Tensor, "E K 2"]
+
+
+def _levers(
+    rests: RestingPoses,
+    planar: Float[Tensor, "E 3"],
+    lying: Float[Tensor, "E 3"],
+    met: Met,
+    friction: Float[Tensor, "E"],
+    way: Float[Tensor, "2"],
+) -> _Levers:
+    edges, rest = rests.edges, lying[:, 0].long()
+    normal, point = edges.normal[rest], edges.point[rest]
+    off = ((point - rests.centre[rest][:, None]) * normal).sum(-1).clamp_min(OFF_M)
+    outward = rotated(normal, planar[:, None, 2])
+    corner = planar[:, None, :2] + rotated(point, planar[:, None, 2])
+    beyond = ((met.at[:, None, :2] - corner) * outward).sum(-1)
+    along = (outward * met.normal[:, None, :2]).sum(-1)
+    drag = outward @ way
+    high, down = met.at[:, 2:], met.normal[:, 2:]
+    lifts = high * along - beyond * down
+    rubs = friction[:, None] * drag / way.norm().clamp_min(1e-12)
+    return _Levers(lifts, (lifts + high * rubs) / off, drag, outward)
+
+
+def _levered(
+    rests: RestingPoses,
+    planar: Float[Tensor, "E 3"],
+    lying: Float[Tensor, "E 3"],
+    met: Met,
+    friction: Float[Tensor, "E"],
+    way: Float[Tensor, "2"],
+) -> tuple[Int[Tensor, "E"], Float[Tensor, "E"], Float[Tensor, "E 2"]]:
+    """Edge about which a steep contact turns objects at rest (-1: none), the tilt, and the way over it."""
+    lifts, arm, drag, outward = _levers(rests, planar, lying, met, friction, way)
+    steep, high = met.steep[:, None], met.at[:, 2:].clamp_min(LEAST_M)
+    lifted = (lifts > LEAST_M) & (steep > met.depth[:, None])
+    dragged = (lifts <= LEAST_M) & (steep > -GRAZE_M) & (met.depth[:, None] <= 0) & (met.normal[:, 2:] < 0) & (drag > 0)
+    can = (lifted | dragged) & (arm > SHARE) & rests.edges.tip_rad[lying[:, 0].long()].isfinite()
+    most, edge = torch.where(can, arm, torch.full_like(arm, -torch.inf)).max(-1)
+    tilt = torch.where(lifted, steep.clamp_min(0.0) / lifts.clamp_min(LEAST_M), drag / high)
+    rows = torch.arange(len(edge))
+    return torch.where(most > 0, edge, -1), tilt[rows, edge], outward[rows, edge]
+
+
 def _leant(
     scene: Scene,
     planar: Float[Tensor, "E 3"],
     lying: Float[Tensor, "E 3"],
-    body: Sliding,
+    friction: Float[Tensor, "E"],
     soft: Float[Tensor, "E"],
-    before: Float[Tensor, "4"],
-    after: Float[Tensor, "4"],
-) -> tuple[Float[Tensor, "E 3"], Float[Tensor, "E 3"], Float[Tensor, "E 2"]]:
-    """Places and tilts of objects that lean on the tool where it is now, and the direction over their edges.
+    way: Float[Tensor, "2"],
+) -> tuple[Float[Tensor, "E 3"], Float[Tensor, "E 2"]]:
+    """Tilts of objects that lean on the tool where it is now, and the direction over their edges; rests where it left.
 
-    They rest where it left. From the tilt before: at rest the tool may be so deep in it that the way out is on the
-    other side.
+    From the tilt before: at rest the tool may be so deep in it that the way out is on the other side.
     """
     lying, rows, edge = lying.clone(), torch.arange(len(planar)), lying[:, 1].long()
     touched = torch.zeros(len(planar), dtype=torch.bool)
-    over = rotated(scene.rests.edges.normal[lying[:, 0].long(), edge], planar[:, 2])
+    outward = planar[:, :2]
     for turn in range(TILTS):
         met = met_by(scene, planar, lying)
-        found = levers(scene.rests, planar, lying, met, body.friction, after[:2] - before[:2])
-        lifts, arm, drag, outward = (part[rows, edge] for part in found)
+        levers = _levers(scene.rests, planar, lying, met, friction, way)
+        lifts, arm, drag, outward = (part[rows, edge] for part in levers)
         inside = (met.depth > 0) | (met.steep > 0)
         along, high = (met.inward * outward).sum(-1), met.at[:, 2].clamp_min(LEAST_M)
         more = torch.where(along > ACROSS, met.depth / (met.place[:, 2] * along).clamp_min(LEAST_M), 0.0 * along)
-        lifting = (lifts > LEAST_M) & steeper(met)
-        start = before if turn == 0 else after
-        there, tilt = lifted(scene.rests, planar, lying, met, lifts.clamp_min(LEAST_M), start, after, body)
-        more = torch.where(lifting, tilt - lying[:, 2], more)
+        lifted = (lifts > LEAST_M) & (met.steep > met.depth)
+        more = torch.where(lifted, met.steep / lifts.clamp_min(LEAST_M), more)
         more = _back(met, lifts, soft, more)
         if turn == 0:
             dragged = (lifts <= LEAST_M) & (met.steep > -GRAZE_M) & (met.depth <= 0) & (met.normal[:, 2] < 0)
@@ -234,7 +279,6 @@ def _leant(
             more, inside = torch.where(dragged, drag / high, more), inside | dragged
         going = inside if turn == 0 else inside & touched
         lying[going, 2] += more[going]
-        planar = torch.where((going & lifting)[:, None], there, planar)
         touched |= inside
     lying = _upright(lying)
     left = (~touched).nonzero()[:, 0]
@@ -249,7 +293,7 @@ def _leant(
         gone = high <= 0.0
         lies = torch.where(gone, -torch.ones_like(high), lying[left, 1])
         lying[left] = torch.stack((lying[left, 0], lies, high), -1)
-    return planar, lying, over
+    return lying, outward
 
 
 def _dragged(
@@ -290,7 +334,7 @@ def _held_down(
     """Tilts as far as the tool above lets objects rise; rests where it does not."""
     lying = lying.clone()
     met = met_by(scene, planar, lying)
-    lifts = levers(scene.rests, planar, lying, met, friction, way).lifts
+    lifts = _levers(scene.rests, planar, lying, met, friction, way).lifts
     lifts = lifts[torch.arange(len(planar)), lying[:, 1].long()]
     lying[:, 2] += _back(met, lifts, soft, torch.zeros_like(lifts))
     return _upright(lying)

@@ -3,12 +3,66 @@
 import math
 
 from rumi.dynamics.sliding_numba import settled, turned, twist
-from rumi.dynamics.steep_contact import LEAST_M, OFF_M, SHARE, STICKS
-from rumi.dynamics.steep_contact_numba import lever, levered, lifted, steeper
 from rumi.dynamics.tool_contact import GRAZE_M
 from rumi.dynamics.tool_contact_numba import met, placed
-from rumi.dynamics.toppling import ACROSS, HALVES, INSTANT_S, LANDS_RAD, MOST_M, PASSES, RATE, SWINGS, TILTS
+from rumi.dynamics.toppling import (
+    ACROSS,
+    HALVES,
+    INSTANT_S,
+    LANDS_RAD,
+    LEAST_M,
+    MOST_M,
+    OFF_M,
+    PASSES,
+    RATE,
+    SHARE,
+    STICKS,
+    SWINGS,
+    TILTS,
+)
 from sdf.compiled import bare
+
+
+@bare
+def _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests):
+    """What a steep contact does about an edge.
+
+    Metres that it goes inward for each radian of tilt, lever of its force with friction over the weight's, metres that
+    the tool goes outward, and the way over the edge.
+    """
+    centre, point, normal = rests[2], rests[4], rests[5]
+    c, s = math.cos(yaw), math.sin(yaw)
+    out_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
+    out_y = s * normal[rest, edge, 0] + c * normal[rest, edge, 1]
+    off = (point[rest, edge, 0] - centre[rest, 0]) * normal[rest, edge, 0]
+    off = max(off + (point[rest, edge, 1] - centre[rest, 1]) * normal[rest, edge, 1], OFF_M)
+    corner_x = x + c * point[rest, edge, 0] - s * point[rest, edge, 1]
+    corner_y = y + s * point[rest, edge, 0] + c * point[rest, edge, 1]
+    beyond = (steep[4] - corner_x) * out_x + (steep[5] - corner_y) * out_y
+    drag = out_x * way_x + out_y * way_y
+    lifts = steep[6] * (out_x * steep[1] + out_y * steep[2]) - beyond * steep[3]
+    rubs = friction * drag / max(math.sqrt(way_x * way_x + way_y * way_y), 1e-12)
+    return lifts, (lifts + steep[6] * rubs) / off, drag, out_x, out_y
+
+
+@bare
+def _levered(x, y, yaw, rest, most, steep, friction, way_x, way_y, rests):
+    """Edge about which a steep contact turns an object at rest (-1: none), the tilt, and the way over it."""
+    chosen, tilt, way_out_x, way_out_y, best = -1, 0.0, 0.0, 0.0, SHARE
+    if not (steep[0] > most or (steep[0] > -GRAZE_M and not most > 0.0)):
+        return chosen, tilt, way_out_x, way_out_y
+    tip = rests[6]
+    high = max(steep[6], LEAST_M)
+    for edge in range(tip.shape[1]):
+        if not tip[rest, edge] < math.inf:
+            continue
+        lifts, arm, drag, out_x, out_y = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
+        lifted = lifts > LEAST_M and steep[0] > most
+        dragged = not lifts > LEAST_M and steep[0] > -GRAZE_M and not most > 0.0 and steep[3] < 0 and drag > 0
+        if (lifted or dragged) and arm > best:
+            chosen, best, way_out_x, way_out_y = edge, arm, out_x, out_y
+            tilt = max(steep[0], 0.0) / lifts if lifted else drag / high
+    return chosen, tilt, way_out_x, way_out_y
 
 
 @bare
@@ -41,17 +95,16 @@ def _held_down(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene
     tool, box, rests, flat, lattice = scene
     way_x, way_y = after[0] - before[0], after[1] - before[1]
     level, steep = met(placed(x, y, yaw, rest, edge, tilt, rests), after, tool, box, flat, lattice)
-    lifts, _, _, _, _ = lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
+    lifts, _, _, _, _ = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
     if _presses(lifts, steep, level[0], soft):
         tilt += (steep[0] - soft) / lifts
     return (edge, tilt) if tilt > 0.0 else (-1, 0.0)
 
 
 @bare
-def _leant(x, y, yaw, rest, edge, tilt, before, after, body, scene):
-    """Pose, edge and tilt of an object that leans on the tool where it is now."""
+def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
+    """Edge and tilt of an object that leans on the tool where it is now."""
     tool, box, rests, flat, lattice = scene
-    friction, soft = body[4], body[5]
     way_x, way_y = after[0] - before[0], after[1] - before[1]
     touched = False
     for turn in range(TILTS):
@@ -59,7 +112,7 @@ def _leant(x, y, yaw, rest, edge, tilt, before, after, body, scene):
         level, steep = met(frame, after, tool, box, flat, lattice)
         depth = level[0]
         inside = depth > 0.0 or steep[0] > 0.0
-        lifts, arm, drag, out_x, out_y = lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
+        lifts, arm, drag, out_x, out_y = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
         dragged = not lifts > LEAST_M and steep[0] > -GRAZE_M and not depth > 0.0 and steep[3] < 0
         dragged = turn == 0 and dragged and drag > 0 and arm > SHARE
         if not (inside or dragged):
@@ -70,14 +123,12 @@ def _leant(x, y, yaw, rest, edge, tilt, before, after, body, scene):
             tilt += drag / max(steep[6], LEAST_M)
         elif _presses(lifts, steep, depth, soft):
             tilt += (steep[0] - soft) / lifts
-        elif lifts > LEAST_M and steeper(steep, depth):
-            x, y, yaw, tilt = lifted(
-                x, y, yaw, rest, edge, tilt, steep, lifts, before if turn == 0 else after, after, body, rests
-            )
+        elif lifts > LEAST_M and steep[0] > depth:
+            tilt += steep[0] / lifts
         elif along > ACROSS:
             tilt += depth / max(level[5] * along, LEAST_M)
     if touched:
-        return (x, y, yaw, edge, tilt) if tilt > 0.0 else (x, y, yaw, -1, 0.0)
+        return (edge, tilt) if tilt > 0.0 else (-1, 0.0)
     low, high = 0.0, tilt
     for turn in range(HALVES):
         middle = low if turn == 0 else 0.5 * (low + high)
@@ -88,8 +139,8 @@ def _leant(x, y, yaw, rest, edge, tilt, before, after, body, scene):
         else:
             high = middle
     if high <= 0.0:
-        return x, y, yaw, -1, 0.0
-    return x, y, yaw, edge, high
+        return -1, 0.0
+    return edge, high
 
 
 @bare
@@ -161,8 +212,8 @@ def _dragged(x, y, yaw, rest, steep, before, after, body, rests):
     centre_y += ahead * (c * way_y - s * way_x) / length
     arm_x, arm_y = c * centre_x - s * centre_y, s * centre_x + c * centre_y
     far = max(math.sqrt(wx * wx + wy * wy), 1e-12)
-    own = body[3] * rests[3][rest]
-    fx, fy, turn = twist(at_x - x - arm_x, at_y - y - arm_y, wx / far, wy / far, wx, wy, own, STICKS)
+    lever = body[3] * rests[3][rest]
+    fx, fy, turn = twist(at_x - x - arm_x, at_y - y - arm_y, wx / far, wy / far, wx, wy, lever, STICKS)
     c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
     x, y, yaw = x + arm_x + c * fx - s * fy, y + arm_y + s * fx + c * fy, yaw + turn
     c, s = math.cos(yaw), math.sin(yaw)
@@ -198,7 +249,6 @@ def pushed(state, before, after, body, firm, sizes, scene):
     tool, box, rests, flat, lattice = scene
     normal, tip = rests[5], rests[6]
     unit_x, unit_y, size = 0.0, 0.0, 0.0
-    from_x, from_y, from_yaw = x, y, yaw
     if edge >= 0:
         c, s = math.cos(yaw), math.sin(yaw)
         unit_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
@@ -206,33 +256,33 @@ def pushed(state, before, after, body, firm, sizes, scene):
         if tilt >= tip[rest, edge] * firm:
             tilt = _fallen(rest, edge, tilt, tip[rest, edge] * firm, rests)
         else:
-            x, y, yaw, edge, tilt = _leant(x, y, yaw, rest, edge, tilt, before, after, body, scene)
+            edge, tilt = _leant(x, y, yaw, rest, edge, tilt, before, after, body[4], body[5], scene)
     if edge < 0:
         frame = placed(x, y, yaw, rest, -1, 0.0, rests)
         level, steep = met(frame, after, tool, box, flat, lattice)
         if not (level[0] > 0.0 or steep[0] > -GRAZE_M):
             return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         way_x, way_y = after[0] - before[0], after[1] - before[1]
-        edge, tilt, lifts, unit_x, unit_y = levered(x, y, yaw, rest, level[0], steep, body[4], way_x, way_y, rests)
+        edge, tilt, unit_x, unit_y = _levered(x, y, yaw, rest, level[0], steep, body[4], way_x, way_y, rests)
         if edge < 0 and not level[0] > 0.0:
+            from_x, from_y, from_yaw = x, y, yaw
             if body[6] > 0.0 and steep[3] < 0.0:
                 x, y, yaw = _dragged(x, y, yaw, rest, steep, before, after, body, rests)
             size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
             return (x, y, yaw, rest, -1, 0.0), size, unit_x, unit_y
         about, off, rate = _ahead(yaw, rest, level[1], level[2], rests)
         if edge >= 0:
-            if lifts > 0.0:
-                x, y, yaw, tilt = lifted(x, y, yaw, rest, edge, 0.0, steep, lifts, before, after, body, rests)
             edge, tilt = _held_down(x, y, yaw, rest, edge, tilt, before, after, body[4], body[5], scene)
             if edge < 0:
                 return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         elif about >= 0 and rate > ACROSS and level[5] > off * (1.0 / body[4] + body[4]):
             unit_x, unit_y = level[1], level[2]
             tilt = level[0] / max(level[5] * rate, LEAST_M)
-            x, y, yaw, edge, tilt = _leant(x, y, yaw, rest, about, tilt, before, after, body, scene)
+            edge, tilt = _leant(x, y, yaw, rest, about, tilt, before, after, body[4], body[5], scene)
             if edge < 0:
                 return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         else:
+            from_x, from_y, from_yaw = x, y, yaw
             x, y, yaw = _slid(x, y, yaw, rest, level, before, after, body, scene)
             size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
             size += sizes[3] * _way(before, after)
