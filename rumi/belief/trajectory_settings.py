@@ -71,6 +71,7 @@ class PoseTrajectorySettings:
         shared: part of its variance that a whole action has in common.
         seen_sd_m: deviation of what a camera sees.
         seen_points: independent points that all seen surface points of a view are worth.
+        seen_again_points: the same where a camera looks after every action, since its views err alike.
         free_m, free_sd_m, free_weight: depth allowed to a free point, deviation beyond, and what a cell of
             `free_cell_m` is worth; all of them in a view no more than `seen_points`.
         free_cell_m: lattice that keeps one free point a cell.
@@ -131,6 +132,7 @@ class PoseTrajectorySettings:
     shared: float = 0.5
     seen_sd_m: float = 0.0015
     seen_points: float = 25.0
+    seen_again_points: float = 8.0
     free_m: float = 0.001
     free_sd_m: float = 0.0015
     free_weight: float = 0.15

@@ -52,7 +52,6 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
         following.unmeasured,
         planar=is_planar(spec),
         seen=spec.camera is not None and spec.prior is None,
-        looks_again=spec.looks_again,
         trajectories=_no_trajectory(settings) is None,
     )
     return replace(following, motion=motion)
@@ -92,18 +91,17 @@ def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     )
 
 
-def untracked(asked: Motion | None, *, planar: bool, seen: bool, looks_again: bool, trajectories: bool) -> Motion:
+def untracked(asked: Motion | None, *, planar: bool, seen: bool, trajectories: bool) -> Motion:
     """The motion of an object that nothing measures: each particle's own, wherever these can start.
 
     Args:
         asked: by the settings; None for the most exact that there is.
         planar: whether the object stays upright and the tool level.
         seen: whether a camera sees the object at first; else a prior says where it is about.
-        looks_again: whether it sees the object after every action too.
         trajectories: whether nothing is sensed that trajectories do not take in.
     """
     if planar:
-        return asked or ("trajectory" if seen and not looks_again and trajectories else "corrected")
+        return asked or ("trajectory" if seen and trajectories else "corrected")
     if asked is not None and asked not in _PLANAR:
         return asked
     return "trajectory" if not seen and trajectories and asked in (None, "trajectory") else "estimated"
@@ -191,6 +189,9 @@ def trajectory_filter(
     spacing = settings.trajectories.pad_spacing_m
     if is_planar(spec) and not isinstance(model.exact, Mug):
         settings = replace(settings, trajectories=settings.trajectories.for_others())
+    if spec.looks_again:
+        again = settings.trajectories.seen_again_points
+        settings = replace(settings, trajectories=replace(settings.trajectories, seen_points=again))
     own, systematic = settings.trajectories, settings.stated_errors != "noise" and is_planar(spec)
     own = as_inexact(own, simulator, model.sdf.bounds) if systematic else as_accurate(own, simulator)
     prior = prior_of(spec, model)
