@@ -108,7 +108,7 @@ def script(work: Callable[[], object]) -> NoReturn:
     sys.exit(_guarded(done))
 
 
-def _carry_out(name: str, arguments: Sequence[str], loading: _Context) -> int:
+def _carry_out(name: str, arguments: Sequence[str], loading: _Context = nullcontext) -> int:
     if name not in COMMANDS:
         raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
     if name in _OWN_THREADS:
@@ -123,7 +123,7 @@ def _carry_out(name: str, arguments: Sequence[str], loading: _Context) -> int:
             return _call(name, arguments, loading)
 
 
-def _call(name: str, arguments: Sequence[str], loading: _Context) -> int:
+def _call(name: str, arguments: Sequence[str], loading: _Context = nullcontext) -> int:
     module, _, function = COMMANDS[name].address.partition(":")
     with loading():
         command = getattr(import_module(module), function)

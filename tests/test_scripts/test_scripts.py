@@ -141,7 +141,7 @@ def test_a_robot_may_bring_bare_readings(cache):
 def test_the_first_belief_covers_what_the_view_leaves_open(task, tmp_path):
     script = load(ROOT / "scripts" / "first_view.py")
     figure = tmp_path / "view.png"
-    (found,) = script.main(script.Options((task,), seeds=3, figure=figure, cache=tmp_path))
+    (found,) = script.main(script.Options((task,), seeds=3, figure=figure))
     assert 40 < found.plausible_deg < 180
     assert found.gap_deg <= 15
     assert found.outside <= 0.01

@@ -130,6 +130,6 @@ def test_runs_on_record_keep_what_their_errors_counted_as():
 @pytest.mark.parametrize("task", ["box", "drawn-shelf-mug"])
 def test_systematic_errors_are_refused_where_no_particle_has_its_own(cache, errors, task):
     settings = preset(task=task, conditions="lab")
-    settings = replace(settings, filter=replace(settings.filter, **errors))
+    settings = replace(settings, filter=replace(settings.filter, unmeasured="corrected", **errors))
     with pytest.raises(UsageError, match="no other particles have errors of their own"):
         build(settings, cache_dir=cache)

@@ -162,6 +162,7 @@ def test_a_replay_believes_by_the_push_model_of_its_run(monkeypatch):
     """Where nothing measures the motion, the belief follows the planner's push model, live and replayed."""
     monkeypatch.setattr(scenes, "make_tool", partial(scenes.make_tool, free_flying=True))
     settings, spec = preset("fast", task="shelf-mug"), scenes.find_task("shelf-mug")
+    settings = replace(settings, filter=replace(settings.filter, unmeasured="corrected"))
     live = build_rummager(spec, settings, spec.object_factory(), scenes.make_tool(spec))
     again = TASKS["shelf-mug"].agent(settings)
     assert again.filter.pushed.predict.push is live.filter.pushed.predict.push is push_along_path
