@@ -52,6 +52,7 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
         following.unmeasured,
         planar=is_planar(spec),
         seen=spec.camera is not None and spec.prior is None,
+        looks_again=spec.looks_again,
         trajectories=_no_trajectory(settings) is None,
     )
     return replace(following, motion=motion)
@@ -91,17 +92,18 @@ def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     )
 
 
-def untracked(asked: Motion | None, *, planar: bool, seen: bool, trajectories: bool) -> Motion:
+def untracked(asked: Motion | None, *, planar: bool, seen: bool, looks_again: bool, trajectories: bool) -> Motion:
     """The motion of an object that nothing measures: each particle's own, wherever these can start.
 
     Args:
         asked: by the settings; None for the most exact that there is.
         planar: whether the object stays upright and the tool level.
         seen: whether a camera sees the object at first; else a prior says where it is about.
+        looks_again: whether it sees the object after every action too.
         trajectories: whether nothing is sensed that trajectories do not take in.
     """
     if planar:
-        return asked or ("trajectory" if seen and trajectories else "corrected")
+        return asked or ("trajectory" if seen and not looks_again and trajectories else "corrected")
     if asked is not None and asked not in _PLANAR:
         return asked
     return "trajectory" if not seen and trajectories and asked in (None, "trajectory") else "estimated"
