@@ -1,7 +1,6 @@
 """Trajectories: the compiled replay is the plain one, moves keep the posterior, histories can be tempered."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -28,11 +27,7 @@ DOUBLE = {"dtype": torch.float64}
 OWN = PoseTrajectorySettings(particles=60, branches=3, rounds=1)
 SHAPE, HEIGHT = GripperShape(), 0.03
 
-
-@pytest.fixture(autouse=True)
-def settings_of_the_shape() -> Iterator[None]:
-    with backend.force("numba"):
-        yield
+pytestmark = pytest.mark.usefixtures("by_numba")
 
 
 def approach(first_x=-0.11, step=0.006, count=6, y=0.01) -> torch.Tensor:

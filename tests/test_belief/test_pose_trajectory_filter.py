@@ -1,7 +1,6 @@
 """Filter whose particles are trajectories: it takes in anything, follows what nothing measures, and forgets."""
 
 import copy
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -22,7 +21,7 @@ from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
-from sdf import backend, se3
+from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -32,11 +31,7 @@ DOUBLE = {"dtype": torch.float64}
 OWN = PoseTrajectorySettings(particles=60, branches=3, rounds=1)
 SHAPE, HEIGHT = GripperShape(), 0.03
 
-
-@pytest.fixture(autouse=True)
-def settings_of_the_shape() -> Iterator[None]:
-    with backend.force("numba"):
-        yield
+pytestmark = pytest.mark.usefixtures("by_numba")
 
 
 def felt_by(pose: torch.Tensor, tool: torch.Tensor, model: PushedObject) -> Reading:

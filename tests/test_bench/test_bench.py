@@ -10,7 +10,7 @@ import torch
 
 from rumi import exit_codes
 from rumi.bench import cases, command, table
-from rumi.bench.case import CASES, SLOW, Case, Setup, Variant
+from rumi.bench.case import CASES, HOST, SLOW, Case, Setup, Variant
 from rumi.bench.machine import environment
 from rumi.bench.measure import carry_out
 from rumi.cli import main
@@ -242,3 +242,10 @@ def test_the_naive_sums_are_the_costs(generator):
     torch.testing.assert_close(
         naive.reach_cost(scene.information, reach, moved), ReachabilityCost(scene.information, reach)(moved)
     )
+
+
+def test_what_the_cpu_alone_does_is_left_out_on_a_gpu(monkeypatch, capsys):
+    monkeypatch.setattr(command, "environment", lambda device: environment(torch.device("cpu")))
+    options = command.BenchOptions(only=tuple(sorted(HOST)), device="cuda", quick=True)
+    assert command.time_cases(options) == ([], exit_codes.DONE)
+    assert capsys.readouterr().err.count("its work is done on the CPU") == len(HOST) > 3
