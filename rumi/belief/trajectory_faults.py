@@ -95,6 +95,9 @@ def log_ratios(
         again = log_evidence(before, log_weights, history, pose_filter, generator)
         none = float(np.logaddexp(none, again)) - math.log(2.0)
     gone, dead = _without_feeling(history, sensed)
+    if bool((history.kind == Kind.SEEN).any()):  # the object is there and as hard to foresee, whatever the hand feels
+        seen = replace(history, weight=history.weight.masked_fill(history.kind != Kind.SEEN, 0.0))
+        dead += log_evidence(before, log_weights, seen, pose_filter, generator)
     told |= {"absent": gone - none, "dead hand": dead - none}
     if felt:
         unmet = _unmet(after, history, model)
@@ -194,7 +197,7 @@ def _beside(
 def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[float, float]:
     """Log-likelihoods of a reading without an object, and of one by a hand that feels nothing.
 
-    They are the same but for what a camera sees: of what it costs an object that is there nothing is counted.
+    They are the same but for what a camera sees, which is counted of an absent object alone.
     """
     never, always = math.log(sensed.outliers), math.log1p(-sensed.outliers)
     worth = history.worth().sum(0)

@@ -124,6 +124,22 @@ def test_pads_that_pass_through_the_object_and_feel_nothing_say_that_it_is_gone_
     assert found["absent"] == found["dead hand"] > 5.0 > found["false contacts"]
 
 
+def seen(points: torch.Tensor) -> Segment:
+    return Segment(
+        torch.zeros(1, 2, 3, **DOUBLE),
+        False,
+        points,
+        torch.zeros(len(points), dtype=torch.long),
+        torch.full((len(points),), int(Kind.SEEN)),
+        torch.full((len(points),), 2.0, **DOUBLE),
+    )
+
+
+def test_a_view_that_does_not_fit_is_no_dead_hand_since_the_object_is_there(model):
+    found = ratios(model, seen(FACE + torch.tensor([-0.012, 0.0, 0.0], **DOUBLE)))
+    assert found["knocked"] > 5.0 and found["dead hand"] < 1.0
+
+
 def test_a_touch_where_nothing_is_that_lasts_while_the_object_is_felt_too_is_a_second_object(model):
     strange, own = reading(Kind.FELT, -0.3, instants=10), reading(Kind.FELT, -SENSED.felt_m, instants=10)
     both = own._replace(  # the object itself first, then something else
@@ -154,17 +170,10 @@ def test_a_hand_that_feels_the_same_all_the_way_is_stuck(model):
 
 
 def test_a_view_that_repeats_the_last_one_while_the_object_has_moved_is_stale(model):
-    view = Segment(
-        torch.zeros(1, 2, 3, **DOUBLE),
-        False,
-        FACE.clone(),
-        torch.zeros(len(FACE), dtype=torch.long),
-        torch.full((len(FACE),), int(Kind.SEEN)),
-        torch.full((len(FACE),), 2.0, **DOUBLE),
-    )
+    view = seen(FACE.clone())
     pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
     told = {}
-    for name, moved, seen in (
+    for name, moved, again in (
         ("stale", 0.03, view),
         ("still", 0.0, view),
         ("new", 0.03, view._replace(points=FACE + 0.004)),
@@ -173,7 +182,7 @@ def test_a_view_that_repeats_the_last_one_while_the_object_has_moved_is_stale(mo
         ahead = torch.tensor([moved, 0.0, 0.0], **DOUBLE)  # by what was felt since
         before = replace(before, poses=torch.cat((before.poses[:, :-1], before.poses[:, -1:] + ahead), 1))
         even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
-        after = taken_in(before, seen, model)
+        after = taken_in(before, again, model)
         found = log_ratios(before, even, after, pose_filter, OWN, generator=generator(2))
         told[name] = dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
     assert max(told["stale"], key=told["stale"].__getitem__) == "stale camera" and told["stale"]["stale camera"] > 5.0
