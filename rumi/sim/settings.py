@@ -41,8 +41,8 @@ class SimSettings(Checked, refusal=UsageError):
         cleared_by: what swept points are reported free: by the "truth" those of the whole gripper that lie farther
             than `contact_m` outside of the true surface; by a "margin" those that lie deeper than that in the gripper.
         guarded: whether actions are guarded moves, which end once pads have felt something for `guard_m` of the way;
-            "auto": where nothing measures how a push moves an upright object, and each particle goes its own way. Else
-            they are carried out whole, whatever is felt.
+            "auto": where nothing measures how a push moves the object, each particle goes its own way, and no camera
+            looks again. Else they are carried out whole, whatever is felt.
         guard_m: how far a guarded move goes on while its pads feel something; None for 8 mm of a tool that moves in
             space, where what is pushed tips and slips, else 15.
         stops_late_s: how much longer than `action_s` an action goes on at its speed, or than `guard_m` lets it.

@@ -52,7 +52,6 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
         following.unmeasured,
         planar=is_planar(spec),
         seen=spec.camera is not None and spec.prior is None,
-        looks_again=spec.looks_again,
         trajectories=_no_trajectory(settings) is None,
     )
     return replace(following, motion=motion)
@@ -61,13 +60,14 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
 def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
     """The simulator's settings with whether actions are guarded moves.
 
-    What a long push does is the least that a belief without a sensor of motion knows; a short one tells as much.
+    What a long push does is the least that a belief without a sensor of motion knows; a short one tells as much. A
+    camera that looks again sees what it did, and what it turned into view.
     """
     simulator = settings.simulator
     if simulator.guarded != "auto":
         return simulator
-    unmeasured = followed(spec, settings).motion == "trajectory"
-    return replace(simulator, guarded="always" if unmeasured else "never")
+    unseen = followed(spec, settings).motion == "trajectory" and not spec.looks_again
+    return replace(simulator, guarded="always" if unseen else "never")
 
 
 def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
@@ -92,18 +92,17 @@ def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     )
 
 
-def untracked(asked: Motion | None, *, planar: bool, seen: bool, looks_again: bool, trajectories: bool) -> Motion:
+def untracked(asked: Motion | None, *, planar: bool, seen: bool, trajectories: bool) -> Motion:
     """The motion of an object that nothing measures: each particle's own, wherever these can start.
 
     Args:
         asked: by the settings; None for the most exact that there is.
         planar: whether the object stays upright and the tool level.
         seen: whether a camera sees the object at first; else a prior says where it is about.
-        looks_again: whether it sees the object after every action too.
         trajectories: whether nothing is sensed that trajectories do not take in.
     """
     if planar:
-        return asked or ("trajectory" if seen and not looks_again and trajectories else "corrected")
+        return asked or ("trajectory" if seen and trajectories else "corrected")
     if asked is not None and asked not in _PLANAR:
         return asked
     return "trajectory" if not seen and trajectories and asked in (None, "trajectory") else "estimated"

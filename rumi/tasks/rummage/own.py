@@ -69,7 +69,7 @@ def rummager(
     spatial = not workspace.planar
     if settings is None:
         settings = preset("default")
-        motion = motion or unmeasured(settings, workspace, tool=tool, prior=prior, looks_again=looks_again)
+        motion = motion or unmeasured(settings, workspace, tool=tool, prior=prior)
     _check_followed(settings)
     settings = replace(settings, filter=replace(settings.filter, motion=motion or settings.filter.motion))
     for name, value in (("action_m", action_m), ("action_rad", action_rad)):
@@ -120,18 +120,16 @@ def unmeasured(
     *,
     tool: ToolShape | None = None,
     prior: PriorSpec | None = None,
-    looks_again: bool = False,
 ) -> Motion:
     """The motion by which an object is followed that nothing measures, as `rummager` takes it; arguments as of it.
 
-    In the plane "trajectory", "corrected" where a camera looks again or nothing is seen at first; in space "trajectory"
-    from a prior and by the gripper, else "estimated". What the settings ask for instead comes first.
+    In the plane "trajectory", "corrected" where nothing is seen at first; in space "trajectory" from a prior and by the
+    gripper, else "estimated". What the settings ask for instead comes first.
     """
     return untracked(
         settings.filter.unmeasured,
         planar=workspace.planar,
         seen=prior is None,
-        looks_again=looks_again,
         trajectories=workspace.planar or tool is None or isinstance(tool, GripperShape),
     )
 
