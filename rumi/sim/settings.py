@@ -11,7 +11,7 @@ from rumi.sim.error_settings import BuildSpread, PadErrors, ViewErrors
 from rumi.sim.sensor_settings import SensorSettings
 from sdf.bounds import Checked, Count, Finite, NotNegative, Positive
 
-_GUARD_M, _GUARD_IN_SPACE_M = 0.015, 0.008
+_GUARD_M, _GUARD_SEEN_M, _GUARD_IN_SPACE_M = 0.015, 0.03, 0.008
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class SimSettings(Checked, refusal=UsageError):
         cleared_by: what swept points are reported free: by the "truth" those of the whole gripper that lie farther
             than `contact_m` outside of the true surface; by a "margin" those that lie deeper than that in the gripper.
         guarded: whether actions are guarded moves, which end once pads have felt something for `guard_m` of the way;
-            "auto": where nothing measures how a push moves the object, each particle goes its own way, and no camera
-            looks again. Else they are carried out whole, whatever is felt.
+            "auto": where nothing measures how a push moves the object, and each particle goes its own way. Else they
+            are carried out whole, whatever is felt.
         guard_m: how far a guarded move goes on while its pads feel something; None for 8 mm of a tool that moves in
-            space, where what is pushed tips and slips, else 15.
+            space, where what is pushed tips and slips, 30 where a camera sees what a push did, else 15.
         stops_late_s: how much longer than `action_s` an action goes on at its speed, or than `guard_m` lets it.
         tool_off_m: error of where the tool is taken to be, in a random direction, constant for a run.
         tool_off_rad: error of its yaw.
@@ -88,11 +88,18 @@ class SimSettings(Checked, refusal=UsageError):
                 f"({self.time_step_s} s) of action_s ({self.action_s} s): use fewer mini steps or a smaller time step"
             )
 
-    def guard_of(self, *, spatial: bool) -> float:
-        """How far a guarded move of a tool goes on, metres, which is level or moves in space."""
+    def guard_of(self, *, spatial: bool, looks_again: bool = False) -> float:
+        """How far a guarded move of a tool goes on, metres.
+
+        Args:
+            spatial: whether the tool moves in space; else it is level.
+            looks_again: whether a camera sees what a push did, and what it turned into view.
+        """
         if self.guard_m is not None:
             return self.guard_m
-        return _GUARD_IN_SPACE_M if spatial else _GUARD_M
+        if spatial:
+            return _GUARD_IN_SPACE_M
+        return _GUARD_SEEN_M if looks_again else _GUARD_M
 
 
 @dataclass(frozen=True)

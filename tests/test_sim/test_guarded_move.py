@@ -27,8 +27,8 @@ MINI_M = 0.08 / SimSettings().mini_steps
 SHAPE, GRIPPER, STEP_S = Box((0.06, 0.06, 0.10)), GripperShape(), 0.004
 
 
-def run(arm_tool, mug, count, faults=(), **settings):
-    task = make_task(SPEC, replace(SimSettings(), **settings), tool=arm_tool, model=mug, faults=faults)
+def run(arm_tool, mug, count, faults=(), spec=SPEC, **settings):
+    task = make_task(spec, replace(SimSettings(), **settings), tool=arm_tool, model=mug, faults=faults)
     first = task.reset(0)
     return task, first, [task.step(AHEAD) for _ in range(count)]
 
@@ -52,6 +52,14 @@ def test_an_action_ends_soon_after_its_contact(arm_tool, mug):
         # the pads feel 3 mm ahead, and the sensors report after each mini step
         assert moved(before, guarded[at]) <= guard_m + MINI_M + 1e-3
         assert moved(free[at - 1] if at else first, free[at]) > moved(before, guarded[at])
+
+
+def test_it_goes_on_for_longer_where_a_camera_sees_what_it_did(arm_tool, mug):
+    sees = replace(SPEC, looks_again=True)
+    for spec, guard_m in ((SPEC, 0.015), (sees, 0.03)):
+        auto, asked = (run(arm_tool, mug, 4, spec=spec, guarded="always", guard_m=m)[2] for m in (None, guard_m))
+        assert first_touch(auto) < 4
+        assert all(torch.equal(one.reading.tool_pose, other.reading.tool_pose) for one, other in zip(auto, asked, strict=True))
 
 
 def test_what_meets_nothing_is_the_same_to_the_bit(arm_tool, mug):

@@ -60,14 +60,13 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
 def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
     """The simulator's settings with whether actions are guarded moves.
 
-    What a long push does is the least that a belief without a sensor of motion knows; a short one tells as much. A
-    camera that looks again sees what it did, and what it turned into view.
+    What a long push does is the least that a belief without a sensor of motion knows; a short one tells as much.
     """
     simulator = settings.simulator
     if simulator.guarded != "auto":
         return simulator
-    unseen = followed(spec, settings).motion == "trajectory" and not spec.looks_again
-    return replace(simulator, guarded="always" if unseen else "never")
+    unmeasured = followed(spec, settings).motion == "trajectory"
+    return replace(simulator, guarded="always" if unmeasured else "never")
 
 
 def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:

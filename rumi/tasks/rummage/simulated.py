@@ -188,7 +188,7 @@ class SimTask:
         self._pad_draws = self._pad_faults.drawn(len(path))
         guard = None
         if self.settings.guarded == "always":
-            guard_m = self.settings.guard_of(spatial=self.spec.spatial)
+            guard_m = self.settings.guard_of(spatial=self.spec.spatial, looks_again=self._looks_again)
             guard = Guard(GuardedMove(guard_m, lambda index: self._feels(index, path)), late_s)
         track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s, guard)
         reading = self._sense(before, track, refused + track.refused_m)
