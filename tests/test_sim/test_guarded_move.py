@@ -59,7 +59,9 @@ def test_it_goes_on_for_longer_where_a_camera_sees_what_it_did(arm_tool, mug):
     for spec, guard_m in ((SPEC, 0.015), (sees, 0.03)):
         auto, asked = (run(arm_tool, mug, 4, spec=spec, guarded="always", guard_m=m)[2] for m in (None, guard_m))
         assert first_touch(auto) < 4
-        assert all(torch.equal(one.reading.tool_pose, other.reading.tool_pose) for one, other in zip(auto, asked, strict=True))
+        assert all(
+            torch.equal(one.reading.tool_pose, other.reading.tool_pose) for one, other in zip(auto, asked, strict=True)
+        )
 
 
 def test_what_meets_nothing_is_the_same_to_the_bit(arm_tool, mug):
