@@ -189,6 +189,19 @@ class PoseTrajectorySettings:
             pad_slope_m=math.hypot(self.pad_slope_m, tool_m * math.sqrt(3.0) / math.pi),
         )
 
+    def seen_again(self) -> Self:
+        """The same where a camera looks after every action: it sees what a push did, and its views err alike.
+
+        What a push may have done otherwise than foreseen costs little there, for what is seen takes it back.
+        """
+        return replace(
+            self,
+            seen_points=self.seen_again_points,
+            along=2.0 * self.along,
+            across=2.0 * self.across,
+            turn_rad_per_m=2.0 * self.turn_rad_per_m,
+        )
+
     def doubted(self) -> Self:
         """The same where pushes go otherwise than any prior has it: rough or slippery, hardly predictable motion."""
         friction, lever, ahead = self.friction, self.lever_ratio, self.ahead

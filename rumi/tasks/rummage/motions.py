@@ -190,8 +190,7 @@ def trajectory_filter(
     if is_planar(spec) and not isinstance(model.exact, Mug):
         settings = replace(settings, trajectories=settings.trajectories.for_others())
     if spec.looks_again:
-        again = settings.trajectories.seen_again_points
-        settings = replace(settings, trajectories=replace(settings.trajectories, seen_points=again))
+        settings = replace(settings, trajectories=settings.trajectories.seen_again())
     own, systematic = settings.trajectories, settings.stated_errors != "noise" and is_planar(spec)
     own = as_inexact(own, simulator, model.sdf.bounds) if systematic else as_accurate(own, simulator)
     prior = prior_of(spec, model)

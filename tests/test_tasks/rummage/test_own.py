@@ -69,6 +69,13 @@ def test_trajectories_are_surer_of_the_mugs_that_they_are_fitted_to(model):
     assert rumi.rummager(model, lattice()).filter.own == fitted.for_others() != fitted
 
 
+def test_a_camera_that_looks_again_lets_pushes_go_otherwise_than_foreseen():
+    fitted = rumi.rummager(mug_model(0.004), lattice()).filter.own
+    seen = rumi.rummager(mug_model(0.004), lattice(), looks_again=True).filter.own
+    assert seen == fitted.seen_again() and seen.turn_rad_per_m == 2.0 * fitted.turn_rad_per_m
+    assert seen.seen_points == fitted.seen_again_points < fitted.seen_points
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
