@@ -81,10 +81,14 @@ class PushRollouts(NamedTuple):
 
     def paths(self, which: Bool[Tensor, "*b K M"]) -> Paths:
         """Some of the rollouts, (R, H, ...), after each action."""
-        turns, pivot = None if self.turns is None else self.turns[..., 1:][which], self.pivot
+        rows, axes = which.flatten().nonzero()[:, 0], which.ndim - 1  # looked for once, for all of them
+        pivot, turns = self.pivot, None if self.turns is None else self.turns[..., 1:].flatten(0, axes)[rows]
+        configurations, displacements = (
+            part[..., 1:, :].flatten(0, axes)[rows] for part in (self.configurations, self.displacements)
+        )
         if pivot is not None and pivot.ndim > 1:
-            pivot = pivot[..., None, None, :].expand(*which.shape, 2)[which]
-        return Paths(self.configurations[..., 1:, :][which], self.displacements[..., 1:, :][which], turns, pivot)
+            pivot = pivot[..., None, None, :].expand(*which.shape, 2).flatten(0, axes)[rows]
+        return Paths(configurations, displacements, turns, pivot)
 
     @property
     def first(self) -> Paths:

@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from rumi.dynamics.base import PushRollouts, duplicates, rigid_motions
+from rumi.dynamics.base import PushRollouts, rigid_motions
 from rumi.dynamics.sliding_numba import settled, slope, turned
 from rumi.robot.border import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
@@ -115,7 +115,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
     low_x, low_y = low[0], low[1]
     spacing, flatness, reach, width = numbers[0], numbers[1], numbers[2], numbers[3]
     mini, passes = counts[0], counts[1]
-    track, contact, checks = out
+    track, contact, alike, checks = out
     inside, clears, turns = scratch[0][k], scratch[1][k], scratch[2][k]
     actions = path.shape[1] - 1
     left = residual(path[k, 0, 0], path[k, 0, 1], 0.0, path[k, 0, 2], arm[0], arm[1], arm[3])
@@ -130,7 +130,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
         path[k, h + 1, 0], path[k, h + 1, 1], path[k, h + 1, 2] = free_x, free_y, free_yaw
     for step in range(len(turns)):
         turns[step, 0] = 2.0  # no cosine: the tool's turn is worked out where the first rollout needs it
-    checked = 0
+    checked, untouched = 0, -1
     for m in range(len(poses)):
         x, y, yaw = np.float64(poses[m, 0]), np.float64(poses[m, 1]), np.float64(poses[m, 2])
         cos, sin = np.float64(math.cos(poses[m, 2])), np.float64(math.sin(poses[m, 2]))
@@ -231,15 +231,18 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
             else:
                 track[k, m, action + 1, 0], track[k, m, action + 1, 1] = x, y
                 track[k, m, action + 1, 2] = yaw
+        if still and untouched < 0:
+            untouched = m
+        alike[k, m] = untouched if still else m  # see `duplicates`
     checks[k] = checked
 
 
 def _push_rollouts(
     controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out, part
 ):
-    alike = counts[2]  # control sequences of a scene
+    each = counts[2]  # control sequences of a scene
     for k in indices(part, len(path)):
-        own = poses[k // alike]
+        own = poses[k // each]
         _sample(k, controls, action_scale, arm, path, own, bodies, body, outline, numbers, counts, scratch, out)
 
 
@@ -274,7 +277,7 @@ class CompiledRollouts:
         path, poses = path.contiguous(), poses.to(path)
         track = path.new_empty(samples, rollouts, horizon + 1, 3)
         contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
-        checks = torch.zeros(samples, dtype=torch.long)
+        alike, checks = torch.empty(shape, dtype=torch.long), torch.empty(samples, dtype=torch.long)
         push_rollouts(
             *_arrays(controls.reshape(samples, horizon, controls.shape[-1]), self._model.tool.scale),
             self._model.tool.arm_arrays(),
@@ -288,7 +291,7 @@ class CompiledRollouts:
                 *(np.empty((samples, size), self._body[0].dtype) for size in (BORDER_GROUP, len(self._body[3][2]))),
                 np.empty((samples, horizon * own.mini_steps, 2)),
             ),
-            tuple(part.numpy() for part in (track, contact, checks)),
+            tuple(part.numpy() for part in (track, contact, alike.view(samples, rollouts), checks)),
         )
         shifts, turns = rigid_motions(
             poses.unsqueeze(-3).expand(*shape, 3).reshape(-1, 3),
@@ -302,7 +305,7 @@ class CompiledRollouts:
             shifts.view(*shape, horizon + 1, 3),
             contact,
             int(checks.sum()) / max(1, contact.numel() * own.mini_steps),
-            duplicates(contact),
+            alike,
             turns.view(*shape, horizon + 1),
             self._model.pivot,
         )
