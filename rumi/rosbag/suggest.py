@@ -142,7 +142,7 @@ def _geometry(found: _Found, names: list[str], tool: str, world: str, twice: dic
     ]
     if rod is not None:
         forces = forces_of(geometry.wrenches[wrenches[0]], stamps, places)
-        lines += [*_rod(rod), *lines_of(forces, upright=_is_upright(rod, poses))]
+        lines += [*_rod(rod), *lines_of(forces, lowest_m=_OVER_FLOOR_M, upright=_is_upright(rod, poses))]
     else:
         lines += (*_UNKNOWN_TOOL, *(_UNKNOWN_SURFACE if wrenches else ()))
     every = _every_s(stamps.tolist())
