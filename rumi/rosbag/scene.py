@@ -29,7 +29,14 @@ from sensors.evidence import EvidenceModel
 from sensors.reading import Reading
 
 # trajectories by a wrench on a hard rod: what it feels it feels at its surface, while it is on the way, and not always
-_OF_ROD: dict[str, Any] = {"lone": True, "fresh_m": 0.003, "pad_m": 0.0, "pad_slope_m": 0.001, "missed": 0.2}
+_OF_ROD: dict[str, Any] = {
+    "lone": True,
+    "fresh_m": 0.003,
+    "pad_m": 0.0,
+    "pad_slope_m": 0.001,
+    "missed": 0.2,
+    "tool_off_m": 0.007,  # along each axis, of the arm against what told the first place: as in recorded bags
+}
 _DRIFT_N = 0.1  # of a mean force, at least: its zero is off by what the tool was held with while it was tared
 _MARGIN = 0.1  # metres about where the object and the tool are, for the workspace
 _BELOW_TOP = 0.95  # of an object's height, above which a tool cannot meet it

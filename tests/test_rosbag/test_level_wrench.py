@@ -108,7 +108,7 @@ def test_the_touches_of_an_upright_rod_follow_a_prior_by_trajectories():
     assert found.motion == "trajectory" and found.trajectories.lone
     assert settings_of(mapping_of(MAP.replace("level = true", ""))).filter.motion == "corrected"
     own = settings_of(mapping_of(f"{MAP}[settings]\nfilter.trajectories.missed = 0.4\n")).filter.trajectories
-    assert own.missed == 0.4 and own.pad_m == 0.0
+    assert own.missed == 0.4 and own.pad_m == 0.0 and own.tool_off_m == 0.007
     other = settings_of(mapping_of(f'{MAP}[settings]\nfilter.motion = "corrected"\n')).filter
     assert other.motion == "corrected" and not other.trajectories.lone
 

@@ -96,5 +96,6 @@ def test_as_suggested_the_belief_follows_the_block(bag, tmp_path, monkeypatch, c
     # heights of tool and tracker have no origin in common: it is judged in the plane
     assert float(last.truth[2, 3]) == pytest.approx(0.03, abs=1e-4)
     off, turned = pose_error(last.belief.mode(), last.truth, square)
-    assert float(off) < 0.012 and float(turned) < math.radians(11.0)
+    # it turns by 73 degrees; how far off the middle it was pushed is known to 7 mm
+    assert float(off) < 0.012 and float(turned) < math.radians(18.0)
     assert checked(last.belief, last.truth, square, within_m=0.005, within_rad=0.17).both <= 0.9
