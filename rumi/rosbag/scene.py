@@ -29,14 +29,7 @@ from sensors.evidence import EvidenceModel
 from sensors.reading import Reading
 
 # trajectories by a wrench on a hard rod: what it feels it feels at its surface, while it is on the way, and not always
-_OF_ROD: dict[str, Any] = {
-    "lone": True,
-    "fresh_m": 0.003,
-    "pad_m": 0.0,
-    "pad_slope_m": 0.001,
-    "missed": 0.2,
-    "tool_off_m": 0.007,  # along each axis, of the arm against what told the first place: as in recorded bags
-}
+_OF_ROD: dict[str, Any] = {"lone": True, "fresh_m": 0.003, "pad_m": 0.0, "pad_slope_m": 0.001, "missed": 0.2}
 _DRIFT_N = 0.1  # of a mean force, at least: its zero is off by what the tool was held with while it was tared
 _MARGIN = 0.1  # metres about where the object and the tool are, for the workspace
 _BELOW_TOP = 0.95  # of an object's height, above which a tool cannot meet it
@@ -50,7 +43,8 @@ def settings_of(mapping: BagMap) -> Settings:
     sensor, else "corrected", or in space "estimated".
 
     Raises:
-        UsageError: it has some that there are not, or that a recording has no use for.
+        UsageError: it has some that there are not, or that a recording has no use for, or says how far the tool may be
+            off where the belief is followed in a way that does not ask.
     """
     asked = mapping.settings
     for name, use in (("task", "the recording is the task"), ("object", "the table [object] says it")):
@@ -78,11 +72,22 @@ def _unmeasured(mapping: BagMap, settings: Settings) -> Motion:
 
 
 def _trajectories(mapping: BagMap, settings: Settings) -> PoseTrajectorySettings:
-    """The settings of trajectories; where a rod's wrench alone tells of touches, its own for those at defaults."""
-    own, wrench = settings.filter.trajectories, mapping.wrench
-    if wrench is None or not wrench.level or settings.filter.motion != "trajectory":
+    """The settings of trajectories: for those at defaults what the mapping says of the tool's place, and a rod's own.
+
+    A rod has its own where its wrench alone tells of touches.
+    """
+    own, wrench, motion = settings.filter.trajectories, mapping.wrench, settings.filter.motion
+    if motion != "trajectory":
+        if mapping.tool.off_m:
+            raise UsageError(
+                f"Expected tool.off_m = 0 in the mapping with filter.motion {motion!r}, got {mapping.tool.off_m:g}: "
+                "leave it out, only 'trajectory' has the tool off its place"
+            )
         return own
-    return where_default(own, replace(own, **_OF_ROD, force_n=max(wrench.force_n, _DRIFT_N)))
+    new = replace(own, tool_off_m=mapping.tool.off_m)
+    if wrench is not None and wrench.level:
+        new = replace(new, **_OF_ROD, force_n=max(wrench.force_n, _DRIFT_N))
+    return where_default(own, new)
 
 
 def rummager_of_map(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from rumi.errors import UsageError
 from rumi.rosbag.contacts import smoothed
 from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.readings import make_readings
@@ -108,9 +109,19 @@ def test_the_touches_of_an_upright_rod_follow_a_prior_by_trajectories():
     assert found.motion == "trajectory" and found.trajectories.lone
     assert settings_of(mapping_of(MAP.replace("level = true", ""))).filter.motion == "corrected"
     own = settings_of(mapping_of(f"{MAP}[settings]\nfilter.trajectories.missed = 0.4\n")).filter.trajectories
-    assert own.missed == 0.4 and own.pad_m == 0.0 and own.tool_off_m == 0.007
+    assert own.missed == 0.4 and own.pad_m == 0.0 and own.tool_off_m == 0.0
     other = settings_of(mapping_of(f'{MAP}[settings]\nfilter.motion = "corrected"\n')).filter
     assert other.motion == "corrected" and not other.trajectories.lone
+
+
+def test_how_far_off_the_tool_may_be_is_followed_or_refused():
+    """The mapping's, or that of the settings of trajectories where these name one."""
+    text = MAP.replace("[wrench]", "off_m = 0.004\n[wrench]")
+    assert settings_of(mapping_of(text)).filter.trajectories.tool_off_m == 0.004
+    asked = "[settings]\nfilter.trajectories.tool_off_m = 0.002\n"
+    assert settings_of(mapping_of(text + asked)).filter.trajectories.tool_off_m == 0.002
+    with pytest.raises(UsageError, match=r"tool\.off_m = 0 .* 'corrected', got 0\.004: leave it out"):
+        settings_of(mapping_of(text.replace("level = true", "")))
 
 
 def test_what_is_level_is_a_rod():
