@@ -35,7 +35,7 @@ _HIGH_M = 0.3  # over the floor
 _OVER_FLOOR_M = 0.01  # that the tool is at its lowest
 _TRACKER_M = 0.01  # by which a tracker tells the first place
 _TRACKER_DEG = 5.0  # and the first turn
-_OFF_M = 0.007  # along each axis, between an arm and a tracker, as in recorded bags
+_OFF_M = 0.0055  # along each axis, between an arm and a tracker, as in recorded bags
 _UPRIGHT = math.cos(math.radians(15.0))  # of a rod's axis
 _READINGS = 12  # that a recording is cut into at least
 

@@ -61,7 +61,7 @@ def test_a_rod_reaches_as_far_as_its_forces_act(tmp_path):
     (end,) = found.fixed
     assert (end.parent, end.child) == ("tip", "rod_end")
     assert end.position_m == pytest.approx((0.0, 0.0, LEVER_M + 0.02), abs=1e-3)
-    assert found.tool.off_m == 0.007 and "no better: put in 0" in text  # of the tracker
+    assert found.tool.off_m == 0.0055 and "no better: put in 0" in text  # of the tracker
     for table in (found.tool, found.wrench):
         assert table.radius_m == 0.005
     assert found.wrench.rod_m[1] == pytest.approx(end.position_m)
