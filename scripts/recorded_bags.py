@@ -2,6 +2,7 @@
 
     python -m scripts.recorded_bags [FOLDER]            # a line a bag; FOLDER keeps logs, mapping, meshes and runs
     python -m scripts.recorded_bags suggested [FOLDER]  # each as a new user: by the mapping that rumi suggests
+    python -m scripts.recorded_bags found [FOLDER]      # how well each block is found by that mapping, of five seeds
 
 A fingertip of 4.75 mm radius pushes a block over a table. Heights of tip and block have no origin in common in these
 bags, so that both are taken to be tall: the belief is over x, y and yaw. The blocks' sides are those that
@@ -10,6 +11,7 @@ bags, so that both are taken to be tall: the belief is over x, y and yaw. The bl
 
 import contextlib
 import io
+import math
 import os
 import resource
 import subprocess
@@ -25,12 +27,16 @@ import torch
 from rumi.cli import main as rumi
 from rumi.cli import script
 from rumi.errors import UsageError
+from rumi.metrics.calibration import checked
+from rumi.metrics.pose_error import pose_error
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping_file import read_mapping
 from rumi.runs.folder import load_run
 from rumi.runs.replay import digest
 from scripts.bench.real_pushes import TIP_M
+from sdf import se3
 from sdf.extras import optional
+from sdf.symmetry import Symmetries
 from sensors.log.reader import Log
 
 MAP = """schema = 1
@@ -63,6 +69,10 @@ friction = 1.0
 view_s = 0.3
 every_s = 0.5
 """
+SEEDS = range(5)
+WITHIN_M, WITHIN_RAD = 0.01, math.radians(10.0)
+"""Of a block that is found: a belief that is sure and farther off is sure and wrong."""
+
 SIDES_M = {"Al_block": 0.103, "Plastic_block": 0.118, "St_block": 0.102}
 
 
@@ -81,6 +91,31 @@ class Tried(NamedTuple):
     lines: int
     seconds: float
     processor_s: float
+
+
+class Found(NamedTuple):
+    """The last belief of a replay against the tracker's pose, in the plane and modulo quarter turns.
+
+    Attributes:
+        mm: from the likeliest place to the true one.
+        degrees: of the turn, too.
+        foreseen_mm: weighted median of the particles' distances from the likeliest.
+        foreseen_degrees: of their turns, too.
+        level: share of the belief that is denser than it is at the truth.
+        sure: whether the belief is.
+    """
+
+    mm: float
+    degrees: float
+    foreseen_mm: float
+    foreseen_degrees: float
+    level: float
+    sure: bool
+
+    @property
+    def right(self) -> bool:
+        """Whether the block is where the belief has it."""
+        return self.mm <= 1e3 * WITHIN_M and self.degrees <= math.degrees(WITHIN_RAD)
 
 
 class Error(NamedTuple):
@@ -137,18 +172,49 @@ def suggested(bag: Path, steps: int | None = None) -> Tried:
     """
     start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     few = [] if steps is None else ["--steps", str(steps)]
-    _carry_out(["import", str(bag), "--suggest", "--out", "push.toml"])
-    text = Path("push.toml").read_text()
-    right = text.replace("radius_m = 0.005 ", f"radius_m = {TIP_M} ")
-    Path("push.toml").write_text(right)
-    _carry_out(["import", str(bag), "--map", "push.toml", "--out", "push.h5"])
+    changed = _taken_in(bag)
     _carry_out(["replay", "push.h5", "--mesh", f"{bag.parent.name}.stl", "--out", "found", "--figures", *few])
-    changed = sum(one != other for one, other in zip(text.splitlines(), right.splitlines(), strict=True))
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     if not Path("found/figures/overview.png").is_file():
         raise UsageError(f"No picture came of {bag}")
     return Tried(3 + changed, time.perf_counter() - start, used)
+
+
+def _taken_in(bag: Path) -> int:
+    """Import a bag by the mapping that is suggested for it, with the rod's radius; how many lines that changes."""
+    _carry_out(["import", str(bag), "--suggest", "--out", "push.toml"])
+    text = Path("push.toml").read_text()
+    right = text.replace("radius_m = 0.005 ", f"radius_m = {TIP_M} ")
+    Path("push.toml").write_text(right)
+    _carry_out(["import", str(bag), "--map", "push.toml", "--out", "push.h5"])
+    return sum(one != other for one, other in zip(text.splitlines(), right.splitlines(), strict=True))
+
+
+def found(bag: Path, seed: int) -> Found:
+    """How well a block is found by the log of its bag, in the current folder.
+
+    Raises:
+        UsageError: the tracker lost the block at the end.
+    """
+    out = f"found-{seed}"
+    _carry_out(["replay", "push.h5", "--mesh", f"{bag.parent.name}.stl", "--seed", str(seed), "--out", out])
+    run = load_run(out)
+    belief, truth = run.steps[-1].belief, run.steps[-1].truth
+    if truth is None:
+        raise UsageError(f"Expected the tracker to have the block at the end of {bag}, got no pose")
+    turns = torch.stack([se3.from_planar(torch.tensor([0.0, 0.0, 0.5 * math.pi * k]))[:3, :3] for k in range(4)])
+    square = Symmetries(turns.double())
+    likeliest, poses = belief.mode().double(), belief.world_T_object.double()
+    off, turned = pose_error(likeliest, truth.double(), square)
+    apart = pose_error(poses, likeliest.expand_as(poses), square)
+    weights = belief.log_weights.double().softmax(-1)
+    foreseen = [float(each[order := each.argsort()][weights[order].cumsum(0) >= 0.5][0]) for each in apart]
+    level = checked(belief, truth, square, within_m=WITHIN_M, within_rad=WITHIN_RAD).both
+    sure = run.result is not None and run.result.stopped_by == "sure"
+    return Found(
+        1e3 * float(off), math.degrees(float(turned)), 1e3 * foreseen[0], math.degrees(foreseen[1]), level, sure
+    )
 
 
 def _carry_out(words: list[str]) -> None:
@@ -256,23 +322,21 @@ def _said(words: list[str]) -> str:
 def main() -> None:
     """All bags, a line each."""
     arguments = sys.argv[1:]
-    newcomer = arguments[:1] == ["suggested"]
-    arguments = arguments[newcomer:]
-    found = bags()
+    ways = {"suggested": _as_newcomers, "found": _how_well}
+    way = ways.get(arguments[0]) if arguments else None
+    arguments = arguments[way is not None :]
+    every = bags()
     with contextlib.ExitStack() as stack:
         folder = Path(arguments[0]) if arguments else Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
         stack.enter_context(contextlib.chdir(folder))
-        if newcomer:
-            _as_newcomers(found)
-        else:
-            _by_one_mapping(found)
+        (way or _by_one_mapping)(every)
 
 
-def _as_newcomers(found: list[Path]) -> None:
+def _as_newcomers(every: list[Path]) -> None:
     print("| bag | commands and changed lines | seconds by the clock | of the processor |")
     print("|---|---|---|---|")
-    for bag in found:
+    for bag in every:
         own = Path(bag.stem).resolve()
         own.mkdir(exist_ok=True)
         with contextlib.chdir(own):
@@ -284,12 +348,43 @@ def _as_newcomers(found: list[Path]) -> None:
         )
 
 
-def _by_one_mapping(found: list[Path]) -> None:
+def _how_well(every: list[Path]) -> None:
+    """A line a bag, medians over seeds, and one for all bags of each seed."""
+    print("| bag | mm, degrees | by seed, mm | foreseen | holds | sure |")
+    print("|---|---|---|---|---|---|")
+    of_seed: dict[int, list[Found]] = {seed: [] for seed in SEEDS}
+    for bag in every:
+        own = Path(bag.stem).resolve()
+        own.mkdir(exist_ok=True)
+        with contextlib.chdir(own):
+            make_meshes()
+            _taken_in(bag)
+            mine = [found(bag, seed) for seed in SEEDS]
+        for seed, one in zip(SEEDS, mine, strict=True):
+            of_seed[seed].append(one)
+        mm, degrees, foreseen_mm, foreseen_degrees, level, sure = np.array(mine, dtype=float).T
+        print(
+            f"| {bag.parent.name} {bag.stem} | {np.median(mm):.1f}, {np.median(degrees):.1f} | "
+            f"{', '.join(f'{one:.0f}' for one in mm)} | "
+            f"{np.median(foreseen_mm):.1f}, {np.median(foreseen_degrees):.1f} | "
+            f"{(level <= 0.9).sum()} ({np.median(level):.2f}) | {int(sure.sum())} |",
+            flush=True,
+        )
+    for seed, some in of_seed.items():
+        mm, degrees, _, _, level, _ = np.array(some, dtype=float).T
+        wrong = sum(one.sure and not one.right for one in some)
+        print(
+            f"seed {seed}: medians {np.median(mm):.1f} mm, {np.median(degrees):.1f} degrees, "
+            f"{(level <= 0.9).sum()} of {len(some)} regions hold, {wrong} sure and wrong"
+        )
+
+
+def _by_one_mapping(every: list[Path]) -> None:
     prepare()
-    _said(["import", *map(str, found), "--map", "lab.toml"])
+    _said(["import", *map(str, every), "--map", "lab.toml"])
     print("| bag | tip: poses, mm, degrees | block: poses, mm, degrees | beliefs | the same |")
     print("|---|---|---|---|---|")
-    for bag in found:
+    for bag in every:
         tip, block = errors(bag)
         count, same = replay(bag)
         cells = [f"{one.poses}, {one.mm:.1g}, {one.degrees:.1g}" for one in (tip, block)]

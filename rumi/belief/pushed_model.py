@@ -123,7 +123,7 @@ class Pushed(Protocol):
     def told_by_force(
         self,
         own: PoseTrajectorySettings,
-        physics: Float[Tensor, "N 5"],
+        physics: Float[Tensor, "N P"],
         poses: Float[Tensor, "N S1 D"],
         history: History,
     ) -> Float[Tensor, "N S"]:

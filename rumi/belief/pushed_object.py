@@ -184,7 +184,7 @@ class PushedObject:
     def told_by_force(
         self,
         own: PoseTrajectorySettings,
-        physics: Float[Tensor, "N 5"],
+        physics: Float[Tensor, "N P"],
         poses: Float[Tensor, "N S1 3"],
         history: History,
     ) -> Float[Tensor, "N S"]:

@@ -200,7 +200,7 @@ class ToppledObject:
     def told_by_force(
         self,
         own: PoseTrajectorySettings,
-        physics: Float[Tensor, "N 5"],
+        physics: Float[Tensor, "N P"],
         poses: Float[Tensor, "N S1 6"],
         history: History,
     ) -> Float[Tensor, "N S"]:

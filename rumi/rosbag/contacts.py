@@ -1,6 +1,7 @@
 """Contact samples of all touch sensors of a recording: points, contact flags, bubbles, wrenches, joint torques."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -11,7 +12,6 @@ from rumi.rosbag.bubbles import bubble_contacts
 from rumi.rosbag.contact_sample import ContactSample, ContactSamples, no_points, report_unknown_poses
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap
-from rumi.rosbag.sensor_maps import WrenchMap
 from rumi.rosbag.span import Span
 from rumi.rosbag.streams import role_of
 from rumi.rosbag.torques import torque_contacts
@@ -111,7 +111,7 @@ def _wrench_contacts(
     samples = [one for one, there in zip(samples, known.tolist(), strict=True) if there]
     pose = pose[known]
     wrench = torch.stack([wrench_of(one) for one in samples]) if samples else torch.zeros(0, 6, dtype=torch.float64)
-    load = _load(stream, config, wrench, pose, samples, span.start_ns, problems)
+    load = _load(stream, mapping, frames, wrench, pose, samples, span.start_ns, problems)
     wrench = smoothed(wrench, torch.tensor([one.stamp_ns for one in samples]), config.smooth_s)
     contact = read_wrenches(wrench, pose, load, mapping)
     forces = force_on_tool(wrench, pose, load, mapping).float()
@@ -203,20 +203,27 @@ def force_on_tool(
 
 def _load(
     stream: Stream,
-    config: WrenchMap,
+    mapping: BagMap,
+    frames: FrameTree,
     wrench: Tensor,
     pose: Tensor,
     samples: Sequence[Sample],
     start: int,
     problems: list[str],
 ) -> ToolLoad:
-    """Payload of the sensor, and its bias: by the first wrenches, where the mapping says so."""
+    """Payload of the sensor, and its bias: by the first wrenches and those high up, where the mapping says so."""
+    config = mapping.wrench
+    assert config is not None
     numbers = [
         torch.tensor(value, dtype=torch.float64) for value in (config.bias, config.mass_kg, config.mass_center_m)
     ]
     load = ToolLoad(*numbers)
+    signed = -wrench if config.reaction else wrench
+    high = _high(samples, mapping, frames)
+    free = signed[high] - load.weight(pose[high, :3, :3].to(signed))
+    lifted = free.median(0).values if len(free) else None  # a tool that starts or brakes feels more than its weight
     if config.tare_s <= 0 or not samples:
-        return load
+        return load if lifted is None else replace(load, bias=lifted)
     late = samples[0].stamp_ns - start
     if late > config.tare_s * 1e9:
         problems.append(
@@ -225,8 +232,17 @@ def _load(
         )
         start = samples[0].stamp_ns
     early = torch.tensor([one.stamp_ns <= start + config.tare_s * 1e9 for one in samples], dtype=torch.bool)
-    signed = -wrench if config.reaction else wrench
-    return load.tared(signed[early], pose[early, :3, :3])
+    first = load.tared(signed[early], pose[early, :3, :3])
+    return first if lifted is None else replace(load, bias=0.5 * (first.bias + lifted))
+
+
+def _high(samples: Sequence[Sample], mapping: BagMap, frames: FrameTree) -> Bool[Tensor, "K"]:
+    """At which samples the tool is known to be too high for a touch."""
+    config = mapping.wrench
+    if config is None or config.tare_above_m is None:
+        return torch.zeros(len(samples), dtype=torch.bool)
+    tool, known = frames.at(mapping.frames.tool, torch.tensor([one.stamp_ns for one in samples], dtype=torch.long))
+    return known & (tool[:, 2, 3] > config.tare_above_m)
 
 
 def wrench_of(sample: Sample) -> Float[Tensor, "6"]:

@@ -166,6 +166,8 @@ class ToolMap(Checked):
         scale: metres that one unit of the file is.
         position_m, rpy_deg: of the mesh's frame in the tool's.
         feels_m: lower and upper corner of that box, tool frame.
+        off_m: standard deviation, along each axis, of where the tool is against the frame in which the object's first
+            place and truth are told, the same all the time: of an arm against a tracker that are not well registered.
     """
 
     palm_m: Vector = (0.09, 0.10, 0.04)
@@ -179,6 +181,7 @@ class ToolMap(Checked):
     position_m: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Vector = (0.0, 0.0, 0.0)
     feels_m: tuple[Vector, Vector] | None = None
+    off_m: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -43,7 +43,8 @@ def settings_of(mapping: BagMap) -> Settings:
     sensor, else "corrected", or in space "estimated".
 
     Raises:
-        UsageError: it has some that there are not, or that a recording has no use for.
+        UsageError: it has some that there are not, or that a recording has no use for, or says how far the tool may be
+            off where the belief is followed in a way that does not ask.
     """
     asked = mapping.settings
     for name, use in (("task", "the recording is the task"), ("object", "the table [object] says it")):
@@ -71,11 +72,22 @@ def _unmeasured(mapping: BagMap, settings: Settings) -> Motion:
 
 
 def _trajectories(mapping: BagMap, settings: Settings) -> PoseTrajectorySettings:
-    """The settings of trajectories; where a rod's wrench alone tells of touches, its own for those at defaults."""
-    own, wrench = settings.filter.trajectories, mapping.wrench
-    if wrench is None or not wrench.level or settings.filter.motion != "trajectory":
+    """The settings of trajectories: for those at defaults what the mapping says of the tool's place, and a rod's own.
+
+    A rod has its own where its wrench alone tells of touches.
+    """
+    own, wrench, motion = settings.filter.trajectories, mapping.wrench, settings.filter.motion
+    if motion != "trajectory":
+        if mapping.tool.off_m:
+            raise UsageError(
+                f"Expected tool.off_m = 0 in the mapping with filter.motion {motion!r}, got {mapping.tool.off_m:g}: "
+                "leave it out, only 'trajectory' has the tool off its place"
+            )
         return own
-    return where_default(own, replace(own, **_OF_ROD, force_n=max(wrench.force_n, _DRIFT_N)))
+    new = replace(own, tool_off_m=mapping.tool.off_m)
+    if wrench is not None and wrench.level:
+        new = replace(new, **_OF_ROD, force_n=max(wrench.force_n, _DRIFT_N))
+    return where_default(own, new)
 
 
 def rummager_of_map(

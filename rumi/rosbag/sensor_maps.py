@@ -52,6 +52,9 @@ class WrenchMap(Checked):
         mass_kg: of all that hangs from the sensor.
         mass_center_m: its centre of mass in the sensor's frame.
         tare_s: seconds at the start, without contact, from which the bias is taken anew; 0 to take it as given.
+        tare_above_m: height of the tool's frame over the floor above which it touches nothing: where it gets there,
+            the bias is the middle between what `tare_s` gives and the median of the wrenches from there. At the start
+            a tool may lean on something, and high up the arm holds the sensor otherwise. None for no such height.
         smooth_s: seconds over which wrenches are averaged, half before and half after each: a tool in motion shakes,
             and what it pushes sticks and slips.
         level: touches of an upright rod are at the height of the tool's frame, on the side that the force comes from:
@@ -79,6 +82,7 @@ class WrenchMap(Checked):
     mass_kg: float = 0.0
     mass_center_m: Vector = (0.0, 0.0, 0.0)
     tare_s: float = 0.0
+    tare_above_m: Positive | None = None
     smooth_s: NotNegative = 0.0
     level: bool = False
     reaction: bool = False

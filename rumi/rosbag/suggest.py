@@ -35,6 +35,7 @@ _HIGH_M = 0.3  # over the floor
 _OVER_FLOOR_M = 0.01  # that the tool is at its lowest
 _TRACKER_M = 0.01  # by which a tracker tells the first place
 _TRACKER_DEG = 5.0  # and the first turn
+_OFF_M = 0.0055  # along each axis, between an arm and a tracker, as in recorded bags
 _UPRIGHT = math.cos(math.radians(15.0))  # of a rod's axis
 _READINGS = 12  # that a recording is cut into at least
 
@@ -49,6 +50,10 @@ _UNKNOWN_SURFACE = (
     "# center_m = [0.0, 0.0, 0.1]",
     "# tare_s = 0.3  # seconds at the start in which nothing touches",
     "",
+)
+_OFF = (
+    "# arm and tracker, which tells the first place, are usually registered no better: put in 0, or the value you know",
+    f"off_m = {_OFF_M:g}  # TODO standard deviation along each axis of where the tool is for the tracker",
 )
 
 
@@ -123,6 +128,7 @@ def _geometry(found: _Found, names: list[str], tool: str, world: str, twice: dic
     at = block[:, :3, 3]
     frames = sorted({*geometry.parents, *geometry.parents.values(), *names})
     ends_apart = rod is not None and not rod.ends_at_tool
+    seen = any(kind in _VIEWS for _, kind in found.count)
     lines = [
         f"# frames of the recording: {', '.join(frames) or 'none'}",
         "[frames]",
@@ -134,7 +140,7 @@ def _geometry(found: _Found, names: list[str], tool: str, world: str, twice: dic
         *(_fixed(tool, rod) if rod is not None and ends_apart else ()),
         "[scene]",
         _within(places, at),
-        *(() if any(kind in _VIEWS for _, kind in found.count) else _prior(places, block)),
+        *(() if seen else _prior(places, block)),
         "",
         "[object]",
         '# mesh = "object.stl"  # TODO, or in [scene] builtin = "mug", or rumi replay --mesh object.stl',
@@ -142,7 +148,9 @@ def _geometry(found: _Found, names: list[str], tool: str, world: str, twice: dic
     ]
     if rod is not None:
         forces = forces_of(geometry.wrenches[wrenches[0]], stamps, places)
-        lines += [*_rod(rod), *lines_of(forces, upright=_is_upright(rod, poses))]
+        upright = _is_upright(rod, poses)
+        lines += _rod(rod, off=upright and len(block) > 0 and not seen)
+        lines += lines_of(forces, lowest_m=_OVER_FLOOR_M, upright=upright)
     else:
         lines += (*_UNKNOWN_TOOL, *(_UNKNOWN_SURFACE if wrenches else ()))
     every = _every_s(stamps.tolist())
@@ -273,13 +281,20 @@ def _prior(places: Float[Tensor, "n 3"], block: Float[Tensor, "m 4 4"]) -> list[
     ]
 
 
-def _rod(rod: Rod) -> list[str]:
+def _rod(rod: Rod, *, off: bool) -> list[str]:
+    """Lines of the tool and of the force sensor's surface.
+
+    Args:
+        rod: which is both.
+        off: whether the belief asks how far it may be off, of a first place that another system told.
+    """
     start = torch.zeros(3) if rod.ends_at_tool else rod.end_t
     radius = "radius_m = 0.005  # TODO half of the rod's thickness"
     return [
         "[tool]  # a rod from its end to the force sensor",
         radius,
         f"rod_m = [[0.0, 0.0, 0.0], {_vector(rod.sensor_t - start)}]",
+        *(_OFF if off else ()),
         "",
         "[wrench]  # the same rod in the sensor's frame",
         radius,

@@ -44,6 +44,10 @@ def test_topics_have_to_be_a_table():
         (("within = [[0, 0, 0], [1, 1, 1]]", "within = [[0, 0, 0], [1, 0, 1]]"), "a lower and an upper corner"),
         (("builtin", "buildin"), "no setting scene.buildin; there are"),
         (("[frames]", "[frames"), "is no TOML"),
+        (
+            ("[scene]", "[tool]\noff_m = -0.001\n[scene]"),
+            "tool: Expected off_m to be 0 or more and finite, got -0.001",
+        ),
         (("[scene]", "[wrench]\n[scene]"), "expected either radius_m, of a ball or a rod, or mesh"),
     ],
 )

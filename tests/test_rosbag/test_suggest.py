@@ -61,6 +61,7 @@ def test_a_rod_reaches_as_far_as_its_forces_act(tmp_path):
     (end,) = found.fixed
     assert (end.parent, end.child) == ("tip", "rod_end")
     assert end.position_m == pytest.approx((0.0, 0.0, LEVER_M + 0.02), abs=1e-3)
+    assert found.tool.off_m == 0.0055 and "no better: put in 0" in text  # of the tracker
     for table in (found.tool, found.wrench):
         assert table.radius_m == 0.005
     assert found.wrench.rod_m[1] == pytest.approx(end.position_m)
@@ -95,11 +96,12 @@ def test_without_a_tracker_the_tools_way_tells_where_the_object_may_be(tmp_path)
     found, text = suggested(tmp_path, tracked=False, metres=0.4)
     assert found.frames.truth is None and "# truth" in text
     assert found.scene.prior_mean_m == pytest.approx((0.4, 0.2)) and found.scene.prior_spread_m == 0.1
+    assert found.tool.off_m == 0.0 and found.wrench.level
 
 
 def test_where_a_camera_sees_the_object_no_prior_is_made_up(tmp_path):
     found, _ = suggested(tmp_path, camera=True)
-    assert found.scene.prior_mean_m is None
+    assert found.scene.prior_mean_m is None and found.tool.off_m == 0.0
 
 
 def test_without_forces_nothing_is_said_of_them(tmp_path):
