@@ -158,7 +158,8 @@ def cost_of_scenes(
 ) -> Float[Tensor, "B K"]:
     """Costs of a batch of scenes, each by its own cost alone, so that a row is what the scene gives, to the bit.
 
-    One after the other: tables of reach and cells of information are a scene's own, and take their time there.
+    An object that never turns, beside one that may, is taken to turn by 0, which rounds otherwise. One after the other:
+    sums of reach and cells of information are a scene's own, and take their time there.
 
     Args:
         costs: of each scene, such as a `TrajectoryCost`.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from rumi.fields.workspace import Workspace
-from rumi.planning.reach_cost import CrossCorrelation, ReachabilityCost, Turned
+from rumi.planning.reach_cost import CrossCorrelation, ReachabilityCost, turned_information
 from sdf import backend
 from sdf.voxel_grid import VoxelGrid
 from tests.fixtures.sparse_fields import DOUBLE, sparse_field
@@ -122,20 +122,61 @@ def test_reachability_of_turned_layers_is_that_of_each(generator: torch.Generato
     assert float(expected.min()) < -0.01
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_versions_of_turned_shares_agree_to_the_bit(dtype: torch.dtype, generator: torch.Generator) -> None:
-    """Within the tables and beyond them, whole turns and none; where there is no turn the share stays as it was."""
-    stack = torch.rand(7, 9, 6, generator=generator, dtype=dtype)
-    moved = torch.randn(40, 5, 3, generator=generator, dtype=dtype)
+@pytest.mark.parametrize(("dtype", "close"), [(torch.float32, 1e-6), (torch.float64, 1e-12)])
+def test_turned_reach_is_the_look_up_in_transformed_tables(
+    dtype: torch.dtype, close: float, generator: torch.Generator
+) -> None:
+    """Within the lattice, at its ends and beyond, whole turns and none, whole shifts and none, at once and again."""
+    information, reachability = (
+        VoxelGrid(field.values.to(dtype), field.origin.to(dtype), field.spacing)
+        for field in (sparse_field((9, 7, 3), generator), sparse_field((9, 7, 3), generator, 0.8))
+    )
+    moved = 0.2 * torch.randn(40, 5, 3, generator=generator, dtype=dtype)
     turns = torch.where(moved[..., 2] > 0, 5.0 * torch.randn(40, 5, generator=generator, dtype=dtype), 0.0)
-    turns[0, :3] = torch.tensor([2.0, -1.0, 7.0]) * 2.0 * torch.pi / 7
-    tables = Turned(stack, torch.tensor([-0.8, -0.5, 0.0], dtype=dtype), 0.2)
-    found, plain = torch.full((40, 5), 0.5, dtype=dtype), torch.full((40, 5), 0.5, dtype=dtype)
-    backend.dispatch("turned_shares", found)(found, moved, turns, tables)
-    with backend.force("torch"):
-        backend.dispatch("turned_shares", plain)(plain, moved, turns, tables)
-    assert torch.equal(found, plain)
-    assert torch.equal(found == 0.5, turns == 0)
+    turns[0, :3] = torch.tensor([2.0, -1.0, 7.0], dtype=dtype) * 2.0 * torch.pi / 24
+    moved[1] = torch.tensor([0.08, -0.12, 0.0], dtype=dtype)
+    moved[2, :, :2], moved[3:5], moved[5, 2:] = 0.0, 50.0, moved[5, 1]
+    # the last shift of which something is left, the one after it, and next to both
+    ends = torch.tensor([[8.0, 6.0], [9.0, 7.0], [8.999, -6.999], [-8.001, 6.001], [-9.0, 0.0]], dtype=dtype)
+    moved[6, :, :2], moved[7, :, :2] = 0.04 * ends, -0.04 * ends
+    turns[8] = 2.0 * torch.pi * torch.tensor([1.0, -1.0, 3.0, 1e-9, -1e-9], dtype=dtype)
+    pivot = torch.tensor([0.02, 0.03], dtype=dtype)
+    cost = ReachabilityCost(information, reachability)
+    angles = [number * cost.turn_step for number in range(cost.steps)]
+    tables = cost.turned_tables(torch.stack([turned_information(cost, angle, pivot) for angle in angles]))
+    origin = torch.tensor([-8 * 0.04, -6 * 0.04, 0.0], dtype=dtype)
+    shares = torch.stack(
+        [
+            VoxelGrid(table[..., None], origin, 0.04).interpolate(moved.reshape(-1, 3), outside=0.0).view(40, 5)
+            for table in tables
+        ]
+    )
+    place = turns / cost.turn_step
+    low = place.floor()
+    ends = [shares.gather(0, ((low + up).long() % cost.steps)[None])[0] for up in (0, 1)]
+    expected = -(ends[0] + (place - low) * (ends[1] - ends[0]))
+    assert float(expected.min()) < -0.1
+    alone = torch.stack([cost(row[:, None], turn[:, None], pivot) for row, turn in zip(moved, turns, strict=True)])
+    torch.testing.assert_close(alone, expected, atol=close, rtol=0)
+    together = cost(moved.reshape(-1, 1, 3), turns.reshape(-1, 1), pivot).view(40, 5)
+    other = ReachabilityCost(information, reachability)(moved.reshape(-1, 1, 3), turns.reshape(-1, 1), pivot)
+    assert torch.equal(together, other.view(40, 5))
+    assert torch.equal(together, alone)
+
+
+@pytest.mark.parametrize("shape", [(6, 5, 2), (1, 6, 1), (1, 1, 1)])
+def test_turned_reach_of_nothing_and_of_lone_nodes(shape: tuple[int, int, int], generator: torch.Generator) -> None:
+    """Without information nothing is reached; after a whole turn all is as before it."""
+    field, reachability = sparse_field(shape, generator, 1.0), sparse_field(shape, generator, 1.0)
+    moved, turns = 0.03 * torch.randn(7, 4, 3, generator=generator, **DOUBLE), torch.ones(7, 4, **DOUBLE)
+    moved *= torch.tensor([float(n > 1) for n in shape[:2]] + [0.0], **DOUBLE)  # a lone node, unturned, is everywhere
+    pivot = field.origin[:2] + 0.01
+    nothing = ReachabilityCost(field.with_values(torch.zeros(shape, **DOUBLE)), reachability)
+    assert torch.equal(nothing(moved, turns, pivot), torch.zeros(7, **DOUBLE))
+    cost = ReachabilityCost(field, reachability)
+    torch.testing.assert_close(cost(moved, 2.0 * torch.pi * turns, pivot), cost(moved))
+    turned = cost(moved, turns, pivot)
+    assert bool(((turned >= -1.0) & (turned <= 0.0)).all())
 
 
 def test_turned_reach_has_its_slope_along_information(generator: torch.Generator) -> None:
