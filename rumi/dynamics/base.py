@@ -81,10 +81,14 @@ class PushRollouts(NamedTuple):
 
     def paths(self, which: Bool[Tensor, "*b K M"]) -> Paths:
         """Some of the rollouts, (R, H, ...), after each action."""
-        turns, pivot = None if self.turns is None else self.turns[..., 1:][which], self.pivot
+        rows, axes = which.flatten().nonzero()[:, 0], which.ndim - 1  # looked for once, for all of them
+        pivot, turns = self.pivot, None if self.turns is None else self.turns[..., 1:].flatten(0, axes)[rows]
+        configurations, displacements = (
+            part[..., 1:, :].flatten(0, axes)[rows] for part in (self.configurations, self.displacements)
+        )
         if pivot is not None and pivot.ndim > 1:
-            pivot = pivot[..., None, None, :].expand(*which.shape, 2)[which]
-        return Paths(self.configurations[..., 1:, :][which], self.displacements[..., 1:, :][which], turns, pivot)
+            pivot = pivot[..., None, None, :].expand(*which.shape, 2).flatten(0, axes)[rows]
+        return Paths(configurations, displacements, turns, pivot)
 
     @property
     def first(self) -> Paths:
@@ -231,7 +235,6 @@ def rigid_motions(
     start: Float[Tensor, "E 3"],
     track: Float[Tensor, "E T 3"],
     pivot: Float[Tensor, "*#E 2"],
-    rows: Int[Tensor, "R"] | None = None,
 ) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
     """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones.
 
@@ -241,11 +244,9 @@ def rigid_motions(
         start: poses.
         track: poses at T instants.
         pivot: the point at the start, of all objects or of each.
-        rows: objects that may have moved, if that is known; the others have not.
     """
     shift, turn = track.new_zeros(track.shape), track.new_zeros(track.shape[:-1])
-    if rows is None:
-        rows = (track != start[:, None]).flatten(1).any(-1).nonzero()[:, 0]
+    rows = (track != start[:, None]).flatten(1).any(-1).nonzero()[:, 0]
     about = pivot.expand(len(start), 2)[rows][:, None]
     start, track = start[rows][:, None], track[rows]
     x, y, yaw = start.unbind(-1)

@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from rumi.dynamics.base import PushRollouts, duplicates, rigid_motions
+from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.sliding_numba import settled, slope, turned
 from rumi.robot.border import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
@@ -108,14 +108,14 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
 
 
 @bare
-def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out):
+def _sample(k, controls, action_scale, arm, path, poses, pivot, bodies, body, outline, numbers, counts, scratch, out):
     """All rollouts of control sequence k."""
     px, py, order, groups = body
     values, flat, low = outline
     low_x, low_y = low[0], low[1]
     spacing, flatness, reach, width = numbers[0], numbers[1], numbers[2], numbers[3]
     mini, passes = counts[0], counts[1]
-    track, contact, checks = out
+    shifts, rotations, contact, alike, checks = out
     inside, clears, turns = scratch[0][k], scratch[1][k], scratch[2][k]
     actions = path.shape[1] - 1
     left = residual(path[k, 0, 0], path[k, 0, 1], 0.0, path[k, 0, 2], arm[0], arm[1], arm[3])
@@ -130,7 +130,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
         path[k, h + 1, 0], path[k, h + 1, 1], path[k, h + 1, 2] = free_x, free_y, free_yaw
     for step in range(len(turns)):
         turns[step, 0] = 2.0  # no cosine: the tool's turn is worked out where the first rollout needs it
-    checked = 0
+    checked, untouched = 0, -1
     for m in range(len(poses)):
         x, y, yaw = np.float64(poses[m, 0]), np.float64(poses[m, 1]), np.float64(poses[m, 2])
         cos, sin = np.float64(math.cos(poses[m, 2])), np.float64(math.sin(poses[m, 2]))
@@ -145,7 +145,8 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
             bodies[m, 7],
             bodies[m, 8],
         )
-        track[k, m, 0, 0], track[k, m, 0, 1], track[k, m, 0, 2] = poses[m, 0], poses[m, 1], poses[m, 2]
+        begun_cos, begun_sin = cos, sin
+        shifts[k, m, 0, 0], shifts[k, m, 0, 1], shifts[k, m, 0, 2], rotations[k, m, 0] = 0.0, 0.0, 0.0, 0.0
         still, gap = True, 0.0  # metres that the tool may go before it can touch
         for action in range(actions):
             from_x, from_y, from_yaw = path[k, action, 0], path[k, action, 1], path[k, action, 2]
@@ -195,8 +196,11 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
                     )
                     if point < 0:
                         break
-                    # where it stood was rounded to single precision, as the plain version takes it
-                    own_cos, own_sin = (math.cos(yaw), math.sin(yaw)) if still else (cos, sin)
+                    own_cos, own_sin = cos, sin
+                    if still:
+                        # where it stood was rounded to single precision, as the plain version takes it
+                        own_cos, own_sin = math.cos(yaw), math.sin(yaw)
+                        begun_cos, begun_sin = own_cos, own_sin
                     still, gap = False, 0.0
                     contact[k, m, action] = True
                     gx, gy = slope(
@@ -225,22 +229,33 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
                         0.0,
                         slides,
                     )
-            if still:
-                for axis in range(3):
-                    track[k, m, action + 1, axis] = poses[m, axis]
-            else:
-                track[k, m, action + 1, 0], track[k, m, action + 1, 1] = x, y
-                track[k, m, action + 1, 2] = yaw
+            shift_x, shift_y, rotation = 0.0, 0.0, 0.0
+            if not still:
+                # of the point that is at the pivot at first
+                arm_x, arm_y = pivot[0] - np.float64(poses[m, 0]), pivot[1] - np.float64(poses[m, 1])
+                turn_cos, turn_sin = cos * begun_cos + sin * begun_sin, sin * begun_cos - cos * begun_sin
+                shift_x = x - poses[m, 0] + turn_cos * arm_x - turn_sin * arm_y - arm_x
+                shift_y = y - poses[m, 1] + turn_sin * arm_x + turn_cos * arm_y - arm_y
+                rotation = yaw - poses[m, 2]
+            shifts[k, m, action + 1, 0], shifts[k, m, action + 1, 1], shifts[k, m, action + 1, 2] = (
+                shift_x,
+                shift_y,
+                0.0,
+            )
+            rotations[k, m, action + 1] = rotation
+        if still and untouched < 0:
+            untouched = m
+        alike[k, m] = untouched if still else m  # see `duplicates`
     checks[k] = checked
 
 
 def _push_rollouts(
-    controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out, part
+    controls, action_scale, arm, path, poses, pivots, bodies, body, outline, numbers, counts, scratch, out, part
 ):
-    alike = counts[2]  # control sequences of a scene
+    each = counts[2]  # control sequences of a scene
     for k in indices(part, len(path)):
-        own = poses[k // alike]
-        _sample(k, controls, action_scale, arm, path, own, bodies, body, outline, numbers, counts, scratch, out)
+        own, pivot = poses[k // each], pivots[k // each]
+        _sample(k, controls, action_scale, arm, path, own, pivot, bodies, body, outline, numbers, counts, scratch, out)
 
 
 push_rollouts = Kernel(_push_rollouts)
@@ -263,7 +278,7 @@ class CompiledRollouts:
         self._body = (*_arrays(*border.sets.flatten(0, 1).unbind(-1), border.groups.flatten()), groups)
         self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
         self._numbers = np.array((outline.spacing, 1.0 / outline.steepness, model.reach, border.radius))
-        self._settings = model.settings
+        self._settings, self._arm = model.settings, model.tool.arm_arrays()
 
     def __call__(self, configuration, controls, poses, sliding):
         """The rollouts in which the object starts at given poses."""
@@ -272,13 +287,14 @@ class CompiledRollouts:
         samples, rollouts = math.prod(shape[:-1]), shape[-1]
         path = configuration[..., None, None, :].expand(*shape[:-1], horizon + 1, 3).reshape(-1, horizon + 1, 3)
         path, poses = path.contiguous(), poses.to(path)
-        track = path.new_empty(samples, rollouts, horizon + 1, 3)
-        contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
-        checks = torch.zeros(samples, dtype=torch.long)
+        shifts = path.new_empty(*shape, horizon + 1, 3)
+        turns = path.new_empty(*shape, horizon + 1)
+        contact = torch.zeros(*shape, horizon, dtype=torch.bool)
+        alike, checks = torch.empty(shape, dtype=torch.long), torch.empty(samples, dtype=torch.long)
         push_rollouts(
             *_arrays(controls.reshape(samples, horizon, controls.shape[-1]), self._model.tool.scale),
-            self._model.tool.arm_arrays(),
-            *_arrays(path, poses.reshape(math.prod(shape[:-2]), rollouts, 3)),
+            self._arm,
+            *_arrays(path, poses.reshape(-1, rollouts, 3), self._model.pivot.reshape(-1, 2)),
             _bodies(sliding),
             self._body,
             self._outline,
@@ -288,22 +304,21 @@ class CompiledRollouts:
                 *(np.empty((samples, size), self._body[0].dtype) for size in (BORDER_GROUP, len(self._body[3][2]))),
                 np.empty((samples, horizon * own.mini_steps, 2)),
             ),
-            tuple(part.numpy() for part in (track, contact, checks)),
+            (
+                shifts.view(samples, rollouts, horizon + 1, 3).numpy(),
+                turns.view(samples, rollouts, horizon + 1).numpy(),
+                contact.view(samples, rollouts, horizon).numpy(),
+                alike.view(samples, rollouts).numpy(),
+                checks.numpy(),
+            ),
         )
-        shifts, turns = rigid_motions(
-            poses.unsqueeze(-3).expand(*shape, 3).reshape(-1, 3),
-            track.view(samples * rollouts, horizon + 1, 3),
-            self._model.pivots(shape),
-            contact.any(-1).flatten().nonzero()[:, 0],
-        )
-        contact = contact.view(*shape, horizon)
         return PushRollouts(
             path.view(*shape[:-1], 1, horizon + 1, 3).expand(*shape, horizon + 1, 3).contiguous(),
-            shifts.view(*shape, horizon + 1, 3),
+            shifts,
             contact,
             int(checks.sum()) / max(1, contact.numel() * own.mini_steps),
-            duplicates(contact),
-            turns.view(*shape, horizon + 1),
+            alike,
+            turns,
             self._model.pivot,
         )
 

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from rumi.dynamics.base import Paths
 from rumi.dynamics.tool_lookup import placement, planar_features
 from sdf import backend, compiled, gpu
 from sdf.voxel_grid import VoxelGrid
@@ -62,16 +63,22 @@ class InformationCost:
         return _cells(self.information, self.points_t, self.spatial)
 
     def __call__(
-        self, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]
+        self,
+        configurations: Float[Tensor, "R H Q"],
+        displacements: Float[Tensor, "R H 3"],
+        turns: Float[Tensor, "R H"] | None = None,
+        pivot: Float[Tensor, "*#R 2"] | None = None,
     ) -> Float[Tensor, "R"]:
         """Cost of each path.
 
         Args:
             configurations: (x, y, yaw) after each action, in space (x, y, z, yaw).
-            displacements: of the object by then, metres; z is not used.
+            displacements: of the object by then, or of its point at the `pivot`, metres; z is not used.
+            turns: of the object about the pivot, radians; None if never.
+            pivot: of all paths, or of each.
         """
         version = backend.dispatch("gathered_information", self.information.values, configurations, displacements)
-        cost = -version(self, configurations, displacements)
+        cost = -version(self, Paths(configurations, displacements, turns, pivot))
         # sums in another order may differ in their last digit
         return cost if self.total is None else (cost / self.total).clamp_min(-1.0)
 
@@ -143,11 +150,10 @@ def _cells(information: VoxelGrid, points_t: Float[Tensor, "M 3"], spatial: bool
 
 
 @backend.register("gathered_information")
-def _gathered(
-    cost: InformationCost, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]
-) -> Float[Tensor, "R"]:
+def _gathered(cost: InformationCost, paths: Paths) -> Float[Tensor, "R"]:
     """Information of the cells that each path's points meet, discounted from the first meeting."""
     cells, discount = cost.cells, cost.discount
+    configurations, displacements = paths.in_object_frame()
     if cells is None:
         return configurations.new_zeros(len(configurations))
     value, (rollouts, horizon) = cells.value, configurations.shape[:2]
@@ -186,10 +192,10 @@ def _gathered(
 
 
 @backend.register("gathered_information", "numba", compiled.supports)
-def _gathered_numba(cost: InformationCost, configurations: Tensor, displacements: Tensor) -> Tensor:
+def _gathered_numba(cost: InformationCost, paths: Paths) -> Tensor:
     from rumi.planning.costs_numba import gathered
 
-    cells = cost.cells
+    cells, (configurations, displacements, turns, pivot) = cost.cells, paths
     if cells is None:
         return configurations.new_zeros(len(configurations))
     result = configurations.new_empty(len(configurations))
@@ -203,6 +209,9 @@ def _gathered_numba(cost: InformationCost, configurations: Tensor, displacements
         cells.radius + _MARGIN,
         configurations.contiguous().numpy(),
         displacements.contiguous().numpy(),
+        # without turns an empty array: for None the kernel would be compiled once more
+        (displacements.new_empty(0, 0) if turns is None else turns.contiguous()).numpy(),
+        (displacements.new_empty(0, 2) if pivot is None else pivot.reshape(-1, 2).to(displacements)).numpy(),
         cost.discount,
         result.numpy(),
     )
@@ -210,10 +219,10 @@ def _gathered_numba(cost: InformationCost, configurations: Tensor, displacements
 
 
 @backend.register("gathered_information", gpu.VERSION, gpu.supports, gpu.suits)
-def _gathered_warp(cost: InformationCost, configurations: Tensor, displacements: Tensor) -> Tensor:
+def _gathered_warp(cost: InformationCost, paths: Paths) -> Tensor:
     from rumi.planning.trajectory_cost_warp import gathered
 
-    return gathered(cost, configurations, displacements)
+    return gathered(cost, *paths.in_object_frame())
 
 
 def _in_layers(

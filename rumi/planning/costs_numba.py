@@ -37,7 +37,9 @@ def _cells(x, y, z, cos, sin, along, across, up, scale, offset, wide, deep, tall
             put(cell, m, (np.int32(u) * np.int32(deep) + np.int32(v)) * np.int32(tall) + np.int32(w))
 
 
-def _gathered(value, layer, lattice, points, up, radius, configurations, displacements, discount, result, part):
+def _gathered(
+    value, layer, lattice, points, up, radius, configurations, displacements, turns, pivots, discount, result, part
+):
     (scale, offset, middle), (along, across) = lattice, points
     rollouts, horizon = configurations.shape[:2]
     wide, deep, tall = value.shape
@@ -53,6 +55,12 @@ def _gathered(value, layer, lattice, points, up, radius, configurations, displac
                 z, yaw = 0.0, configurations[r, h, 2]
             else:
                 z, yaw = configurations[r, h, 2], configurations[r, h, 3]
+            if turns.size and turns[r, h] != 0.0:
+                # the field turns with the object: look from where it has not moved
+                pivot, turn = pivots[r if len(pivots) > 1 else 0], turns[r, h]
+                cos, sin, arm_x, arm_y = math.cos(turn), math.sin(turn), x - pivot[0], y - pivot[1]
+                x, y = cos * arm_x + sin * arm_y + pivot[0], cos * arm_y - sin * arm_x + pivot[1]
+                yaw -= turn
             again = x == last_x and y == last_y and z == last_z and yaw == last_yaw
             last_x, last_y, last_z, last_yaw = x, y, z, yaw
             if not again:

@@ -98,8 +98,8 @@ class TrajectoryCost:
         """Cost of single paths."""
         total = paths.configurations.new_zeros(len(paths.configurations))
         if self.information is not None:
-            seen, moved = paths.in_object_frame() if self.displaced_information else paths.object_fixed()
-            total += self.information_scale * self.information(seen, moved)
+            ridden = paths if self.displaced_information else Paths(*paths.object_fixed())
+            total += self.information_scale * self.information(*ridden)
         if self.reachability is not None:
             with skipped_work.work("reachability_sums", alike=False) as work:
                 moved = paths.displacements
