@@ -1,5 +1,6 @@
 """Information cost of trajectories: the information that a path would gather (RUMI, Eq 29)."""
 
+import copy
 import itertools
 import math
 from dataclasses import dataclass
@@ -61,6 +62,12 @@ class InformationCost:
     def cells(self) -> "Cells | None":
         """What of the field can be met; None where nothing can."""
         return _cells(self.information, self.points_t, self.spatial)
+
+    def undiscounted(self) -> "InformationCost":
+        """The same of what the whole path meets, neither discounted nor a share."""
+        own = copy.copy(self)  # with the cells, if they are known
+        own.discount, own.total = 1.0, None
+        return own
 
     def __call__(
         self,

@@ -296,10 +296,16 @@ class RummagingPolicy:
             displaced_information=settings.displaced_information,
             spatial=scene.tool.spatial,
         )
-        whole = gathering(information, scene.tool, sensing)
+
+        def gathered(configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]) -> Tensor:
+            own = cost.information
+            # undiscounted of the same cells, which the costs have found by now
+            whole = gathering(information, scene.tool, sensing) if own is None else own.undiscounted()
+            return -whole(configurations, displacements)
+
         return Objective(
             cost,
-            lambda configurations, displacements: -whole(configurations, displacements),
+            gathered,
             {} if reachability is None else {"reachability": reachability.values.flatten()},
             skipped={
                 "information_cost": float(settings.information_scale == 0),

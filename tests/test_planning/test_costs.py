@@ -104,6 +104,15 @@ def test_discount_counts_from_the_first_meeting(discount: float, spatial: bool, 
     assert bool((cost > information_cost(field, points, q, d)).any())
 
 
+def test_undiscounted_is_the_cost_of_the_whole_path(generator: torch.Generator) -> None:
+    """Whether the cells were known before or not."""
+    field, points, (q, d) = sparse_field((14, 12, 1), generator), sensing_points(generator), paths(generator)
+    cost, expected = InformationCost(field, points, discount=0.5, normalise=True), information_cost(field, points, q, d)
+    assert torch.equal(cost.undiscounted()(q, d), expected)
+    assert not torch.equal(cost(q, d), expected)
+    assert torch.equal(cost.undiscounted()(q, d), expected)
+
+
 def test_moving_along_with_the_object_gathers_nothing_new(generator: torch.Generator) -> None:
     field, points = sparse_field((30, 30, 1), generator, 1.0), sensing_points(generator)
     start = torch.tensor([0.2, 0.2, 0.7], **DOUBLE)
