@@ -35,23 +35,43 @@ def residual(x, y, z, yaw, table, base, limits):
     """What inverse kinematics leaves at a configuration, metres; linear between nodes, the last node's beyond them."""
     if limits[0] == 0.0:
         return 0.0
+    return _residual_at(_place(x, y, z, table, base, limits), yaw, table, base, limits)
+
+
+@bare
+def _place(x, y, z, table, base, limits):
+    """What the residual takes of a place, whatever the yaw is there: the way beyond the table, and three numbers."""
     if table.ndim == 4:
-        value = _residual_in_box(x, y, z, yaw, table, limits)
+        layers, columns, rows = table.shape[0], table.shape[1], table.shape[2]
+        u, v, w = (x - limits[7]) / limits[9], (y - limits[8]) / limits[9], (z - limits[5]) / limits[6]
+        i, j, k = _within(u, 0.0, columns - 1.0), _within(v, 0.0, rows - 1.0), _within(w, 0.0, layers - 1.0)
+        place = (limits[9] * (abs(u - i) + abs(v - j)), i, j, k)
     else:
-        value = _residual_about_base(x, y, z, yaw, table, base, limits)
+        radius_step, sector, rows = limits[5], limits[6], table.shape[-2]
+        dx, dy = x - base[0], y - base[1]
+        radius, direction = math.sqrt(dx * dx + dy * dy), math.atan2(dy, dx)
+        side = abs(_wrapped(direction - base[2]))
+        beyond = max(radius - (rows - 1) * radius_step, 0.0) + radius * max(side - sector, 0.0)
+        place = (beyond, direction, _within(radius / radius_step, 0.0, rows - 1.0), z)
+    return place
+
+
+@bare
+def _residual_at(place, yaw, table, base, limits):
+    """The residual at a place and yaw."""
+    if table.ndim == 4:
+        value = _residual_in_box(place, yaw, table, limits)
+    else:
+        value = _residual_about_base(place, yaw, table, limits)
     return value
 
 
 @bare
-def _residual_in_box(x, y, z, yaw, table, limits):
+def _residual_in_box(place, yaw, table, limits):
     """The residual from a table over (height, x, y, yaw), and the way beyond it."""
     layers, columns, rows, turns = table.shape
-    low, rise, left, bottom, step, turn = limits[5], limits[6], limits[7], limits[8], limits[9], limits[10]
-    u, v, w = (x - left) / step, (y - bottom) / step, (z - low) / rise
-    i, j, k = _within(u, 0.0, columns - 1.0), _within(v, 0.0, rows - 1.0), _within(w, 0.0, layers - 1.0)
-    beyond = step * (abs(u - i) + abs(v - j))
-    t = (_wrapped(yaw) + math.pi) / turn
-    t = _within(t, 0.0, turns - 1.0)
+    beyond, i, j, k = place
+    t = _within((_wrapped(yaw) + math.pi) / limits[10], 0.0, turns - 1.0)
     i0, j0, k0, t0 = (
         min(int(i), columns - 2),
         min(int(j), rows - 2),
@@ -69,16 +89,11 @@ def _residual_in_box(x, y, z, yaw, table, limits):
 
 
 @bare
-def _residual_about_base(x, y, z, yaw, table, base, limits):
+def _residual_about_base(place, yaw, table, limits):
     """The residual from a table over (radius, yaw from the radial direction), in space over height before these."""
-    radius_step, sector = limits[5], limits[6]
-    dx, dy = x - base[0], y - base[1]
-    radius, direction = math.sqrt(dx * dx + dy * dy), math.atan2(dy, dx)
-    turned, side = abs(_wrapped(yaw - direction)), abs(_wrapped(direction - base[2]))
+    beyond, direction, u, z = place
     rows, columns = table.shape[-2], table.shape[-1]
-    last = (rows - 1) * radius_step
-    beyond = max(radius - last, 0.0) + radius * max(side - sector, 0.0)
-    u = _within(radius / radius_step, 0.0, rows - 1.0)
+    turned = abs(_wrapped(yaw - direction))
     v = _within(turned / math.pi * (columns - 1.0), 0.0, columns - 1.0)
     i, j = min(int(u), max(rows - 2, 0)), min(int(v), max(columns - 2, 0))
     a, b = u - i, v - j
@@ -106,7 +121,8 @@ def _residual_about_base(x, y, z, yaw, table, base, limits):
 def _leg(x, y, z, yaw, to_x, to_y, to_z, to_yaw, limit, arm):
     """Where a leg from (x, y, z, yaw) ends, and the arm's residual there."""
     table, base, bounds, limits = arm
-    rest = residual(to_x, to_y, to_z, to_yaw, table, base, limits)
+    aim = _place(to_x, to_y, to_z, table, base, limits)
+    rest = _residual_at(aim, to_yaw, table, base, limits)
     if rest <= limit:
         return to_x, to_y, to_z, to_yaw, rest
     # as far as the arm gets on the straight way, a part of the leg at a time
@@ -120,18 +136,19 @@ def _leg(x, y, z, yaw, to_x, to_y, to_z, to_yaw, limit, arm):
     share = passed / parts
     x, y, z, yaw = x + share * (to_x - x), y + share * (to_y - y), z + share * (to_z - z), yaw + share * (to_yaw - yaw)
     # and from there round the limit: without the turn, along the circle, along it and turning with it
-    rest = residual(to_x, to_y, to_z, yaw, table, base, limits)
+    rest = _residual_at(aim, yaw, table, base, limits)
     if rest <= limit:
         return to_x, to_y, to_z, yaw, rest
     from_x, from_y, aim_x, aim_y = x - base[0], y - base[1], to_x - base[0], to_y - base[1]
     stretch = math.sqrt(from_x * from_x + from_y * from_y) / max(math.sqrt(aim_x * aim_x + aim_y * aim_y), 1e-9)
     round_x = _within(base[0] + aim_x * stretch, bounds[0, 0], bounds[1, 0])
     round_y = _within(base[1] + aim_y * stretch, bounds[0, 1], bounds[1, 1])
-    rest = residual(round_x, round_y, to_z, to_yaw, table, base, limits)
+    aim = _place(round_x, round_y, to_z, table, base, limits)
+    rest = _residual_at(aim, to_yaw, table, base, limits)
     if rest <= limit:
         return round_x, round_y, to_z, to_yaw, rest
     carried = yaw + math.atan2(from_x * aim_y - from_y * aim_x, from_x * aim_x + from_y * aim_y)
-    rest = residual(round_x, round_y, to_z, carried, table, base, limits)
+    rest = _residual_at(aim, carried, table, base, limits)
     if rest <= limit:
         return round_x, round_y, to_z, carried, rest
     return x, y, z, yaw, residual(x, y, z, yaw, table, base, limits)
