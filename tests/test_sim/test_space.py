@@ -211,7 +211,7 @@ def test_shelf_mug_is_looked_at_again_and_its_motion_is_not_measured(shelf_mug):
 def test_unmeasured_motion_is_estimated(shelf_mug):
     settings = preset("default", task="shelf-mug")
     rummager = build_rummager(shelf_mug.spec, settings, shelf_mug.model, shelf_mug.tool)
-    assert rummager.filter.settings.motion == "corrected" and rummager.stop_rule.apc_ratio == 0.05
+    assert rummager.filter.settings.motion == "trajectory" and rummager.stop_rule.apc_ratio == 0.05
     printed = build_rummager(shelf_mug.spec, preset("paper", task="shelf-mug"), shelf_mug.model, shelf_mug.tool)
     assert printed.filter.settings.motion == "estimated"
     still = build_rummager(find_task("mug-0"), settings, shelf_mug.model, shelf_mug.tool)
