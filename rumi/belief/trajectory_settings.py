@@ -194,28 +194,28 @@ class PoseTrajectorySettings:
 
         What a push may have done otherwise than foreseen costs little there, for what is seen takes it back.
         """
+        return replace(self.freer(2.0), seen_points=self.seen_again_points)
+
+    def freer(self, times: float) -> Self:
+        """The same where pushes go otherwise than foreseen by so many times as much."""
         return replace(
             self,
-            seen_points=self.seen_again_points,
-            along=2.0 * self.along,
-            across=2.0 * self.across,
-            turn_rad_per_m=2.0 * self.turn_rad_per_m,
+            along=times * self.along,
+            across=times * self.across,
+            turn_rad_per_m=times * self.turn_rad_per_m,
         )
 
     def doubted(self) -> Self:
         """The same where pushes go otherwise than any prior has it: rough or slippery, hardly predictable motion."""
         friction, lever, ahead = self.friction, self.lever_ratio, self.ahead
         return replace(
-            self,
+            self.freer(3.0),
             friction=(friction[0], max(0.7, friction[1])),
             lever_ratio=(lever[0], max(0.3, lever[1])),
             ahead=(ahead[0], max(0.11, ahead[1])),
             centre_m=max(0.004, self.centre_m),
             friction_change=max(0.2, self.friction_change),
             lever_change=max(0.1, self.lever_change),
-            along=3.0 * self.along,
-            across=3.0 * self.across,
-            turn_rad_per_m=3.0 * self.turn_rad_per_m,
             pad_slope_m=2.0 * self.pad_slope_m,
         )
 

@@ -148,7 +148,7 @@ def as_inexact(
     known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
     wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
     return replace(
-        own,
+        own.freer(wider),
         tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
         tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
         worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], worn)),
@@ -159,9 +159,6 @@ def as_inexact(
         false=max(own.false, pads.false),
         friction=(own.friction[0], math.hypot(own.friction[1], build.friction / math.sqrt(3.0))),
         centre_m=math.hypot(own.centre_m, build.com_m / math.sqrt(5.0)),
-        along=wider * own.along,
-        across=wider * own.across,
-        turn_rad_per_m=wider * own.turn_rad_per_m,
         least_m=max(own.least_m, least_m),
     )
 
