@@ -19,7 +19,8 @@ from rumi.rosbag.messages import CONVERTERS, POSES
 from rumi.rosbag.recording_source import Source, source_of
 from rumi.rosbag.source import BagError
 from rumi.rosbag.suggest_forces import forces_of, lines_of
-from rumi.rosbag.suggest_geometry import Geometry, Rod, rod_of, tracked_frame
+from rumi.rosbag.suggest_geometry import Geometry, rod_of, tracked_frame
+from rumi.rosbag.suggest_rod import ROD_END, is_upright, lines_of_end, lines_of_rod
 
 _TF = "tf2_msgs/msg/TFMessage"
 _WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -29,14 +30,11 @@ _COLORS = ("rgb", "bgr", "mono8")
 _TOOL_WORDS = ("tool", "tip", "gripper", "hand", "ee", "finger", "tcp")
 _GRIPPER_WORDS = ("gripper", "hand")
 _UNNAMED = "?"  # parent of a frame whose messages do not say what they are in
-_END = "rod_end"
 _ABOUT_M = 0.1  # about the tool's way and the object's first place, that the object may be
 _HIGH_M = 0.3  # over the floor
 _OVER_FLOOR_M = 0.01  # that the tool is at its lowest
 _TRACKER_M = 0.01  # by which a tracker tells the first place
 _TRACKER_DEG = 5.0  # and the first turn
-_OFF_M = 0.0055  # along each axis, between an arm and a tracker, as in recorded bags
-_UPRIGHT = math.cos(math.radians(15.0))  # of a rod's axis
 _READINGS = 12  # that a recording is cut into at least
 
 _UNKNOWN_TOOL = (
@@ -50,10 +48,6 @@ _UNKNOWN_SURFACE = (
     "# center_m = [0.0, 0.0, 0.1]",
     "# tare_s = 0.3  # seconds at the start in which nothing touches",
     "",
-)
-_OFF = (
-    "# arm and tracker, which tells the first place, are usually registered no better: put in 0, or the value you know",
-    f"off_m = {_OFF_M:g}  # TODO standard deviation along each axis of where the tool is for the tracker",
 )
 
 
@@ -133,11 +127,11 @@ def _geometry(found: _Found, names: list[str], tool: str, world: str, twice: dic
         f"# frames of the recording: {', '.join(frames) or 'none'}",
         "[frames]",
         f"world = {json.dumps(world)}  # TODO z up; the belief lives in it",
-        f"tool = {json.dumps(_END if ends_apart else tool)}  # TODO of the tool that touches",
+        f"tool = {json.dumps(ROD_END if ends_apart else tool)}  # TODO of the tool that touches",
         _floor(places),
         *_tracked(tracked),
         "",
-        *(_fixed(tool, rod) if rod is not None and ends_apart else ()),
+        *(lines_of_end(tool, rod) if rod is not None and ends_apart else ()),
         "[scene]",
         _within(places, at),
         *(() if seen else _prior(places, block)),
@@ -148,8 +142,8 @@ def _geometry(found: _Found, names: list[str], tool: str, world: str, twice: dic
     ]
     if rod is not None:
         forces = forces_of(geometry.wrenches[wrenches[0]], stamps, places)
-        upright = _is_upright(rod, poses)
-        lines += _rod(rod, off=upright and len(block) > 0 and not seen)
+        upright = is_upright(rod, poses)
+        lines += lines_of_rod(rod, off=upright and len(block) > 0 and not seen)
         lines += lines_of(forces, lowest_m=_OVER_FLOOR_M, upright=upright)
     else:
         lines += (*_UNKNOWN_TOOL, *(_UNKNOWN_SURFACE if wrenches else ()))
@@ -238,17 +232,6 @@ def _tracked(tracked: str | None) -> list[str]:
     ]
 
 
-def _fixed(tool: str, rod: Rod) -> list[str]:
-    return [
-        f"[[fixed]]  # the far end of the rod that touches: {rod.length_m:.3f} m from the force sensor, by where its "
-        "forces act or a frame on it",
-        f"parent = {json.dumps(tool)}",
-        f"child = {json.dumps(_END)}",
-        f"position_m = {_vector(rod.end_t)}",
-        "",
-    ]
-
-
 def _within(places: Float[Tensor, "n 3"], at: Float[Tensor, "m 3"]) -> str:
     told = torch.cat((places, at.to(places)))
     low, high = ([-0.5, -0.5], [0.5, 0.5])
@@ -281,34 +264,6 @@ def _prior(places: Float[Tensor, "n 3"], block: Float[Tensor, "m 4 4"]) -> list[
     ]
 
 
-def _rod(rod: Rod, *, off: bool) -> list[str]:
-    """Lines of the tool and of the force sensor's surface.
-
-    Args:
-        rod: which is both.
-        off: whether the belief asks how far it may be off, of a first place that another system told.
-    """
-    start = torch.zeros(3) if rod.ends_at_tool else rod.end_t
-    radius = "radius_m = 0.005  # TODO half of the rod's thickness"
-    return [
-        "[tool]  # a rod from its end to the force sensor",
-        radius,
-        f"rod_m = [[0.0, 0.0, 0.0], {_vector(rod.sensor_t - start)}]",
-        *(_OFF if off else ()),
-        "",
-        "[wrench]  # the same rod in the sensor's frame",
-        radius,
-        f"rod_m = [[0.0, 0.0, 0.0], {_vector(rod.end_s)}]",
-        "tare_s = 0.3  # seconds at the start in which nothing touches",
-    ]
-
-
-def _is_upright(rod: Rod, poses: Float[Tensor, "n 4 4"]) -> bool:
-    """Whether the rod stands on end all the time."""
-    axis = torch.nn.functional.normalize(rod.sensor_t - rod.end_t, dim=-1)
-    return bool(len(poses)) and float((poses[:, 2, :3] @ axis.to(poses)).abs().median()) > _UPRIGHT
-
-
 def _every_s(stamps_ns: list[int]) -> float:
     """Seconds of a reading: 1, or less for a short recording."""
     seconds = (max(stamps_ns) - min(stamps_ns)) / 1e9 if stamps_ns else 0.0
@@ -324,10 +279,6 @@ def _child(topic: str, message: Any) -> str:  # noqa: ANN401
     """Frame that a message of a pose is of: as it says, else by its topic."""
     said = _name(str(getattr(message, "child_frame_id", "")))
     return said or topic.strip("/").split("/")[-1].removesuffix("_pose") or "pose"
-
-
-def _vector(values: Float[Tensor, "3"]) -> str:
-    return json.dumps([round(value, 4) + 0.0 for value in values.tolist()])
 
 
 def _world(found: _Found) -> str:
