@@ -33,6 +33,7 @@ from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping_file import read_mapping
 from rumi.runs.folder import load_run
 from rumi.runs.replay import digest
+from scripts.bench.bag_poses import Error, error_of, poses_of
 from scripts.bench.real_pushes import TIP_M
 from sdf import se3
 from sdf.extras import optional
@@ -116,20 +117,6 @@ class Found(NamedTuple):
     def right(self) -> bool:
         """Whether the block is where the belief has it."""
         return self.mm <= 1e3 * WITHIN_M and self.degrees <= math.degrees(WITHIN_RAD)
-
-
-class Error(NamedTuple):
-    """Largest difference of poses.
-
-    Attributes:
-        mm: of places.
-        degrees: of turns.
-        poses: that were compared.
-    """
-
-    mm: float
-    degrees: float
-    poses: int
 
 
 def bags() -> list[Path]:
@@ -247,62 +234,12 @@ def replay(bag: Path, steps: int | None = None) -> tuple[int, int]:
 def errors(bag: Path) -> tuple[Error, Error]:
     """Tip and block at the stamps of their messages: what the log has less what the bag has."""
     mapping = read_mapping("lab.toml")
-    tip, block, map_T_tracker = _of_bag(bag)
+    tip, block, map_T_tracker = poses_of(bag)
     belief_T_map = np.eye(4)
     belief_T_map[2, 3] = -mapping.frames.floor_z_m
     with Log(Path(f"{bag.stem}.h5")) as log:
         tree = FrameTree.of_log(log, mapping)
-        return _error(tree, "tip", tip, belief_T_map), _error(tree, "slider", block, belief_T_map @ map_T_tracker)
-
-
-def _error(tree: FrameTree, frame: str, rows: dict[int, np.ndarray], world: np.ndarray) -> Error:
-    found, known = tree.at(frame, torch.tensor(sorted(rows)))
-    expected = np.stack([world @ rows[stamp] for stamp in sorted(rows)])[known.numpy()]
-    told = found[known].numpy()
-    apart = 1e3 * np.linalg.norm(told[:, :3, 3] - expected[:, :3, 3], axis=-1)
-    # of a small angle the matrices' difference, not the cosine, which cannot tell it from none
-    turned = np.degrees(np.linalg.norm(told[:, :3, :3] - expected[:, :3, :3], axis=(-2, -1)) / np.sqrt(2.0))
-    return Error(float(apart.max()), float(turned.max()), int(known.sum()))
-
-
-def _of_bag(bag: Path) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray], np.ndarray]:
-    """Poses of tip and block by stamp as the bag's messages have them, and the tracker's frame in the tip's."""
-    optional("rosbags", "A bag")
-    from rosbags.highlevel import AnyReader
-
-    tip, block, ties, frame = {}, {}, {}, ""
-    with AnyReader([bag]) as reader:
-        for line, _, raw in reader.messages():
-            if line.topic == "/tip_pose":
-                message = reader.deserialize(raw, line.msgtype)
-                tip[_stamp(message)] = _pose(message.pose.position, message.pose.orientation)
-            elif line.topic.startswith("/vicon/") and line.msgtype.endswith("/TransformStamped"):
-                message = reader.deserialize(raw, line.msgtype)
-                frame = message.header.frame_id.strip("/")
-                block[_stamp(message)] = _pose(message.transform.translation, message.transform.rotation)
-            elif line.topic == "/tf":
-                for one in reader.deserialize(raw, line.msgtype).transforms:
-                    name = one.header.frame_id.strip("/"), one.child_frame_id.strip("/")
-                    ties.setdefault(name, _pose(one.transform.translation, one.transform.rotation))
-    return tip, block, ties["map", "viconworld"] @ ties["viconworld", frame]
-
-
-def _stamp(message: object) -> int:
-    stamp = message.header.stamp  # type: ignore[attr-defined]
-    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
-
-
-def _pose(at: object, turn: object) -> np.ndarray:
-    x, y, z, w = (getattr(turn, name) for name in "xyzw")
-    x, y, z, w = np.array((x, y, z, w)) / np.sqrt(x * x + y * y + z * z + w * w)
-    made = np.eye(4)
-    made[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    made[:3, 3] = [getattr(at, name) for name in "xyz"]
-    return made
+        return error_of(tree, "tip", tip, belief_T_map), error_of(tree, "slider", block, belief_T_map @ map_T_tracker)
 
 
 def _beliefs(words: list[str]) -> list[bytes]:
