@@ -25,6 +25,7 @@ from rumi.sim.faults import Faults
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.objects import ObjectSettings
+from rumi.tasks.rummage.scenes import SCENES
 from sdf import gpu
 from sdf.extras import remedy
 
@@ -169,8 +170,12 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     """
     if "made_with" in values and "filter" in values:
         # runs on record that do not say otherwise are of before errors of a whole run were particles' own, populations
-        # exchanged particles, what is felt standing still counted less, and what is pushed in space slipped
+        # exchanged particles, what is felt standing still counted less, what is pushed in space slipped, and a camera
+        # that looks again was evidence of each particle's own motion
         following = {"stated_errors": "noise", **values["filter"]}
+        spec = (SCENES | DRAWN).get(values.get("task", ""))
+        if spec is not None and spec.looks_again and "seen_again_points" not in following.get("trajectories", {}):
+            following["unmeasured"] = following.get("unmeasured") or "corrected"
         if "trajectories" in following:
             following["trajectories"] = {"exchanged": 0.0, "fresh_m": 0.0, "slip": 0.0, **following["trajectories"]}
         values = {**values, "filter": following}

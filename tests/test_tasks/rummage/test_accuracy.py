@@ -123,6 +123,17 @@ def test_runs_on_record_keep_what_their_errors_counted_as():
     assert from_dict(made).filter.stated_errors == "auto"
 
 
+def test_runs_on_record_keep_one_motion_where_a_camera_looked_again():
+    for task, motion in (("shelf-mug", "corrected"), ("drawn-shelf-mug", "corrected"), ("mug", None)):
+        made = to_dict(preset(task=task))
+        del made["filter"]["trajectories"]["seen_again_points"]
+        assert from_dict(made | {"made_with": {}}).filter.unmeasured == motion
+        assert from_dict(made).filter.unmeasured is None
+    asked = to_dict(preset(task="shelf-mug", **{"filter.unmeasured": "estimated"}))
+    del asked["filter"]["trajectories"]["seen_again_points"]
+    assert from_dict(asked | {"made_with": {}}).filter.unmeasured == "estimated"
+
+
 @pytest.mark.usefixtures("at_home")
 @pytest.mark.parametrize(
     "errors", [{"stated_errors": "systematic"}, {"trajectories": replace(OWN, tool_off_m=0.001)}], ids=["all", "one"]
