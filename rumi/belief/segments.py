@@ -111,9 +111,16 @@ def seen_besides(reading: Reading, model: Pushed, own: PoseTrajectorySettings) -
     if own.lone:
         return there[torch.zeros(0, dtype=torch.long)]
     last = there.of_class(Semantics.SURFACE) & (reading.instant == len(reading.in_contact) - 1)
-    back = se3.apply(se3.inverse(reading.tool_pose[-1].double()), there.points[last].double())
+    return besides(there[last.nonzero()[:, 0]], reading.tool_pose[-1], model, own)
+
+
+def besides(
+    points: Observation, tool_pose: Float[Tensor, "4 4"], model: Pushed, own: PoseTrajectorySettings
+) -> Observation:
+    """Those points that the pads of a tool are not at."""
+    back = se3.apply(se3.inverse(tool_pose.double()), points.points.double())
     apart = torch.cdist(back, model.reported).amin(-1) >= _OWN * own.pad_spacing_m
-    return there[last.nonzero()[:, 0][apart]]
+    return points[apart.nonzero()[:, 0]]
 
 
 def pushed(

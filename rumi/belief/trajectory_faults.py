@@ -21,12 +21,14 @@ from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.predicted_action import followed, log_evidence
 from rumi.belief.pushed_model import Pushed
+from rumi.belief.segments import besides, seen_besides
 from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import normal
+from sensors.reading import Reading
 
 TRAJECTORY_FAULTS = (
     "knocked",
@@ -54,6 +56,7 @@ _STRAINED = 15.0  # nats that an action is unlikely by, from which on the push m
 _USUAL = 0.5  # share of the actions of a wrong push model that look as usual
 _STUCK_M, _LONG = 0.002, 5  # how far what a stuck hand feels wanders on it, and for how many instants
 _PATTERNS = 100.0  # that a hand may be stuck in, as likely
+_HIDDEN = 0.05  # chance that a camera sees nothing of an object that is there
 _ALIKE = 0.001  # chance that something that stands in the way is felt alike all the way
 
 
@@ -72,6 +75,7 @@ def log_ratios(
     own: MisfitSettings,
     *,
     generator: torch.Generator,
+    looks: tuple[Reading, Reading] | None = None,
 ) -> Float[Tensor, "K"]:
     """Log-likelihood ratio of each of `TRAJECTORY_FAULTS` against the belief, nats; 0 where a reading tells nothing.
 
@@ -82,6 +86,7 @@ def log_ratios(
         pose_filter: of both.
         own: how far a knock goes, and how often a contact means nothing even so.
         generator: of the draws.
+        looks: the readings before and of the action, where a camera looks after every action; None else.
     """
     told = dict.fromkeys(TRAJECTORY_FAULTS, 0.0)
     new = new_segments(before, after)
@@ -95,9 +100,12 @@ def log_ratios(
         again = log_evidence(before, log_weights, history, pose_filter, generator)
         none = float(np.logaddexp(none, again)) - math.log(2.0)
     gone, dead = _without_feeling(history, sensed)
-    if bool((history.kind == Kind.SEEN).any()):  # the object is there and as hard to foresee, whatever the hand feels
-        seen = replace(history, weight=history.weight.masked_fill(history.kind != Kind.SEEN, 0.0))
-        dead += log_evidence(before, log_weights, seen, pose_filter, generator)
+    seen = history.kind == Kind.SEEN
+    if looks is not None and not bool(seen.any()):  # all else has the object hidden, and not where the view is free
+        gone, seen = gone - math.log(_HIDDEN), history.kind == Kind.FREE
+    if bool(seen.any()):  # the object is there and as hard to foresee, whatever the hand feels
+        shown = replace(history, weight=history.weight.masked_fill(~seen, 0.0))
+        dead += log_evidence(before, log_weights, shown, pose_filter, generator)
     told |= {"absent": gone - none, "dead hand": dead - none}
     if felt:
         unmet = _unmet(after, history, model)
@@ -111,7 +119,7 @@ def log_ratios(
             beside = _beside(before, log_weights, history, unmet, pose_filter, generator)
             alike = math.log(_ALIKE) if told["stuck hand"] > -math.inf else 0.0
             told["second object"] = math.log(_FALSE) + alike + beside - none
-    repeated = _repeats(before, history)
+    repeated = looks is not None and _repeats(*looks, pose_filter)
     if not repeated:
         told["stale camera"] = -math.inf
     if none > -_TELLS:
@@ -150,10 +158,12 @@ def stated_false(history: History, sensed: PoseTrajectorySettings) -> float:
     return -math.expm1(_PADS * len(history.tool) * math.log1p(-sensed.false))
 
 
-def _repeats(before: Trajectories, history: History) -> bool:
-    """Whether an action's view is the last one again."""
-    old, new = (one.points[one.kind == Kind.SEEN] for one in (before.history, history))
-    return 0 < len(new) <= len(old) and bool(old[-len(new) :].equal(new))
+def _repeats(last: Reading, reading: Reading, pose_filter: PoseTrajectoryFilter) -> bool:
+    """Whether an action's view is the last one again, to the digit, but for what the pads are at."""
+    old, new = (seen_besides(one, pose_filter.model, pose_filter.own) for one in (last, reading))
+    old = besides(old, reading.tool_pose[-1], pose_filter.model, pose_filter.own)
+    new = besides(new, last.tool_pose[-1], pose_filter.model, pose_filter.own)
+    return len(old) > 0 and old.points.equal(new.points)
 
 
 def _stuck(history: History, sensed: PoseTrajectorySettings) -> float:

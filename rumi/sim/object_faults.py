@@ -12,6 +12,7 @@ from sdf import se3
 from sdf.base import SDF
 from sdf.object_model import ObjectModel
 
+_AWAY_M = 1000.0  # where an object that is taken away lies: smaller than a camera's pixel
 _TRIES = 64  # of ways to knock an object, until one does not put it into the tool
 _RAD_PER_M = math.radians(30.0) / 0.03  # most that a knocked object turns
 
@@ -45,9 +46,9 @@ class Absent(Fault):
     description = "the object is taken away"
 
     def strike(self, world: World, shape: SDF, hand: Hand) -> None:
-        """Put it out of reach."""
+        """Put it out of reach, and out of any camera's sight."""
         away = world.world_T_object().clone()
-        away[0, 3] += 5.0
+        away[0, 3] += _AWAY_M
         world.place(away)
 
 

@@ -22,6 +22,7 @@ Extent = tuple[float, float, float, float]
 """Left, right, bottom, top, metres."""
 
 REACH_LEVELS = (0.25, 0.5, 0.75, 0.9)
+_FAR_M = 1.0  # outside of the workspace, from where on nothing matters
 _PARTICLES, _POINTS = 40, 4000  # that are drawn: the heaviest, and of a kind at most
 
 
@@ -188,12 +189,18 @@ def draw_path(steps: Sequence[StepRecord], geometry: SceneGeometry, ax: "Axes") 
 
 
 def interesting(steps: Sequence[StepRecord], geometry: SceneGeometry, margin: float = 0.04) -> Extent:
-    """The part of the scene that matters in all of these steps: the object, and the tool at their ends."""
+    """The part of the scene that matters in all of these steps: the object, and the tool at their ends.
+
+    An object that was taken away, more than a metre outside of the workspace, is left out.
+    """
     lines = []
+    low, high = (bound[:2] for bound in geometry.workspace.bounds.double())
     for step in steps:
         poses = step.belief.world_T_object[heaviest(step.belief.log_weights, 10)]
         for pose in (*poses, *(() if step.truth is None else (step.truth,))):
-            lines += object_outline(geometry, pose)
+            middle = pose[:2, 3].to(low)
+            if bool(((middle > low - _FAR_M) & (middle < high + _FAR_M)).all()):
+                lines += object_outline(geometry, pose)
         lines += placed(geometry.tool, step.reading.tool_pose[-1])
     return bounding_box(lines, margin)
 

@@ -17,6 +17,9 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation
+from sensors.reading import Reading
+from sensors.semantics import Semantics
 
 DOUBLE = {"dtype": torch.float64}
 OWN, SENSED = MisfitSettings(), PoseTrajectorySettings()
@@ -169,24 +172,52 @@ def test_a_hand_that_feels_the_same_all_the_way_is_stuck(model):
     assert ratios(model, still)["stuck hand"] == -torch.inf
 
 
+def looked(points: torch.Tensor, place: tuple[float, float, float] = (-0.5, 0.0, 0.0)) -> Reading:
+    """What a camera that looks after every action saw, world frame, with the tool somewhere."""
+    world = points.float() + torch.tensor([0.0, 0.0, 0.03])
+    pose, nowhere = torch.eye(4)[None].clone(), torch.zeros(len(points), dtype=torch.long)
+    pose[0, :3, 3] = torch.tensor(place)
+    none = torch.zeros(1, dtype=torch.bool)
+    return Reading(Observation.of(world, Semantics.SURFACE), nowhere, pose, none, None, torch.zeros(3), torch.zeros(()))
+
+
 def test_a_view_that_repeats_the_last_one_while_the_object_has_moved_is_stale(model):
-    view = seen(FACE.clone())
+    view, first = seen(FACE.clone()), looked(FACE)
     pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
+    beside = tuple((FACE[0].float() + torch.tensor([0.0, 0.0, 0.03]) - model.reported[0].float()).tolist())
     told = {}
-    for name, moved, again in (
-        ("stale", 0.03, view),
-        ("still", 0.0, view),
-        ("new", 0.03, view._replace(points=FACE + 0.004)),
+    for name, moved, again, reading in (
+        ("stale", 0.03, view, looked(FACE)),
+        ("stale, the pads at a part of it", 0.03, view, looked(FACE, beside)),
+        ("still", 0.0, view, looked(FACE)),
+        ("new", 0.03, view._replace(points=FACE + 0.004), looked(FACE + 0.004)),
     ):
         before = taken_in(particles(), view, model)
         ahead = torch.tensor([moved, 0.0, 0.0], **DOUBLE)  # by what was felt since
         before = replace(before, poses=torch.cat((before.poses[:, :-1], before.poses[:, -1:] + ahead), 1))
         even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
         after = taken_in(before, again, model)
-        found = log_ratios(before, even, after, pose_filter, OWN, generator=generator(2))
+        looks = (first, reading)
+        found = log_ratios(before, even, after, pose_filter, OWN, generator=generator(2), looks=looks)
         told[name] = dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
-    assert max(told["stale"], key=told["stale"].__getitem__) == "stale camera" and told["stale"]["stale camera"] > 5.0
+    for name in ("stale", "stale, the pads at a part of it"):
+        assert max(told[name], key=told[name].__getitem__) == "stale camera" and told[name]["stale camera"] > 5.0
     assert abs(told["still"]["stale camera"]) <= 1.0 and told["new"]["stale camera"] == -torch.inf
+
+
+def test_an_object_that_neither_pads_nor_a_camera_find_any_more_is_gone(model):
+    pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
+    before = particles()
+    even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
+    nothing = looked(FACE[:0])
+    through = seen(FACE + torch.tensor([0.03, 0.0, 0.0], **DOUBLE))
+    free = through._replace(kind=torch.full_like(through.kind, int(Kind.FREE)))
+    for segment, apart in ((reading(Kind.PAD_CLEAR, 0.03), 1.0), (free, 5.0)):
+        after = taken_in(before, segment._replace(weight=segment.weight.double()), model)
+        looks = (looked(FACE), nothing)
+        found = log_ratios(before, even, after, pose_filter, OWN, generator=generator(2), looks=looks)
+        told = dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
+        assert max(told, key=told.__getitem__) == "absent" and told["absent"] > told["dead hand"] + apart
 
 
 def test_a_contact_that_slides_off_the_surface_believed_is_no_false_one(model):

@@ -82,6 +82,18 @@ def test_an_absent_object_is_never_felt(follow, usual):
     assert same(usual[0], absent[0])
 
 
+def test_a_camera_that_looks_again_sees_through_where_an_absent_object_was(follow, mug):
+    away = torch.zeros_like(AHEAD)
+    (_, usual), (_, absent) = (follow(*texts, looks_again=True, control=away) for texts in ((), ("absent@1",)))
+    was = usual[1].truth
+    for found, gone in ((usual[1], False), (absent[1], True)):
+        seen = found.reading.observation
+        assert (len(surface(found)) == 0) == gone
+        free = seen.points[seen.of_class(Semantics.FREE)]
+        inside = mug.exact.distance(se3.apply(se3.inverse(was), free)) < -1e-3
+        assert bool(inside.any()) == gone
+
+
 def test_an_object_of_another_size_is_seen_and_felt_so(follow, mug):
     task, larger = follow("scale:10", actions=0)
     assert task.model.exact.height == pytest.approx(1.1 * mug.exact.height)

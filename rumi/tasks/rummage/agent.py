@@ -199,6 +199,7 @@ class Rummager:
                 self.misfit,
                 generator=random["faults"],
                 history=state.history,
+                looks_again=self.looks_again,
             )
             unknown = result.reading.object_motion is None and not self.looks_again
             if self.upright and unknown and self.filter.settings.motion in SLIDES and self.misfit.alpha > 0:

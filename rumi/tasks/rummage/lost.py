@@ -110,6 +110,7 @@ def watch(
     *,
     generator: torch.Generator,
     history: Sequence[StepRecord] = (),
+    looks_again: bool = False,
 ) -> tuple[Watch, Remark | None]:
     """Take a step's reading into the test.
 
@@ -126,6 +127,7 @@ def watch(
         own: settings.
         generator: of draws.
         history: the steps before it, the first view first; without them faults from there on are not asked about.
+        looks_again: whether a camera looks after every action.
 
     Returns:
         what is known now, and a remark where an alarm is due.
@@ -136,7 +138,7 @@ def watch(
     shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
     names, test = [name for name, _ in shares], ChangeTest(tuple(share for _, share in shares), own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
-    of_action = _ratios(last, record, pose_filter, model, own, generator)
+    of_action = _ratios(last, record, pose_filter, model, own, generator, looks_again)
     strange = follows(pose_filter) and own.recover and float(of_action[names.index("false contacts")]) > _TELLS
     rivals, static = before.rivals, before.static
     if follows(pose_filter) and open_yet and not strange:
@@ -329,6 +331,7 @@ def _ratios(
     model: ObjectModel,
     own: MisfitSettings,
     generator: torch.Generator,
+    looks_again: bool,
 ) -> Float[Tensor, "K"]:
     """Log-likelihood ratios of a step's reading, of each of `faults_of`."""
     added = sensed_now(record, pose_filter.settings.motion)
@@ -348,5 +351,6 @@ def _ratios(
         pose_filter,
         own,
         generator=generator,
+        looks=(last.reading, record.reading) if looks_again else None,
     )
     return torch.cat((told, found[MISFITS.index("none of these") :]))

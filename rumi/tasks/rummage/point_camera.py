@@ -45,6 +45,8 @@ class PointCamera:
     def view(self, world: World, world_T_tool: Float[Tensor, "1 4 4"], *, first: bool) -> Observation:
         """What it sees now, of a task without a camera free points of the floor; keeps the region of what it sees.
 
+        Where nothing of the object shows later on, that is what it sees through where the object was last.
+
         Args:
             world: with the object and the gripper.
             world_T_tool: where the robot takes its tool to be.
@@ -63,11 +65,11 @@ class PointCamera:
         if settings.view.mask_px:
             is_object = without_robot(is_object, depth, intrinsics, world_T_camera, self.links, world_T_tool)
         surface = depth_observation(depth, intrinsics, world_T_camera, is_object).points
-        if len(surface) == 0:
-            if first:
-                self.region = region_unseen(spec, self.model)
+        if len(surface) == 0 and first:
+            self.region = region_unseen(spec, self.model)
             return Observation.empty()
-        self.region = region_about(surface, spec, settings)
+        if len(surface):
+            self.region = region_about(surface, spec, settings)
         return depth_observation(
             depth,
             intrinsics,
