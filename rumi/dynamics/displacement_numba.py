@@ -33,8 +33,7 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
     every_state, every_flag, every_group, every_ahead, every_likely = scratch
     state, strayed, stuck = every_state[k], every_flag[k, 0], every_flag[k, 1]
     group, ahead, likely = every_group[k], every_ahead[k], every_likely[k]
-    numbers, ends = rules
-    push_cosine, holds, mini_steps = numbers[0], numbers[1] > 0.0, int(numbers[2])
+    push_cosine, holds, mini_steps, guarded = rules[0], rules[1] > 0.0, int(rules[2]), rules[3] > 0.0
     scale = sizes[3]
     _, rollouts, horizon, parts = draws.shape
     groups, checked = 1, 0
@@ -116,9 +115,9 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
                         state[those, _YAW], state[those, _COS], state[those, _SIN] = yaw, cos, sin
                         state[those, _OFFSET_X] += dx
                         state[those, _OFFSET_Y] += dy
-                    if ends[point] or not pushed:
+                    if guarded or not pushed:
                         strayed[those] = True
-                        stuck[those] = ends[point] or holds
+                        stuck[those] = guarded or holds
                 if those != g:
                     state[g, _X], state[g, _Y], state[g, _Z] = x, y, z
                     state[g, _YAW], state[g, _COS], state[g, _SIN] = yaw, cos, sin
@@ -204,8 +203,7 @@ class CompiledRollouts:
         self._sizes = np.array((*padded.shape, *(1,) * (3 - axes), 1.0 / probability.spacing, tie))
         settings = model.settings
         holds = settings.hazard != "per_mini_step"
-        ends = model.feels[cover.order] if settings.guarded else torch.zeros_like(cover.order, dtype=torch.bool)
-        self._rules = np.array((math.cos(settings.push_angle), holds, settings.mini_steps)), *_arrays(ends)
+        self._rules = np.array((math.cos(settings.push_angle), holds, settings.mini_steps, settings.guarded))
         self._mini_steps = settings.mini_steps
 
     def __call__(self, configuration, controls, uniforms):

@@ -26,8 +26,6 @@ Hazard = Literal["per_rollout", "per_step", "per_mini_step"]
 TIE = 1e-5
 """Contact probabilities closer than this are equal: the first point of the tool is taken, whatever rounding says."""
 
-_FELT_M = 0.006  # of a point of the pads, within which a point of the body is one of theirs
-
 
 @dataclass(frozen=True)
 class DisplacementSettings(Checked):
@@ -43,8 +41,7 @@ class DisplacementSettings(Checked):
             draws anew, as the paper does.
         discs: discs of the bound that settles most contact checks; 0 checks every point at every mini step. The
             rollouts are the same.
-        guarded: whether an action ends with the mini step in which the tool's pads touch the object, as guarded moves
-            do; what else of the tool touches it pushes on, since nothing feels that.
+        guarded: whether an action ends with the mini step in which it touches the object, as guarded moves do.
     """
 
     mini_steps: Count = 4
@@ -98,11 +95,6 @@ class DisplacementRollouts:
     @cached_property
     def _normal(self) -> ToolField:
         return ToolField(self.grids[1], self.points, spatial=self.tool.spatial)
-
-    @cached_property
-    def feels(self) -> Bool[Tensor, "n"]:
-        """Which of the points are of the pads."""
-        return torch.cdist(self.tool.body, self.tool.info).amin(-1).to(self.points.device) <= _FELT_M
 
     @cached_property
     def limits(self) -> tuple[Any, ...]:
@@ -303,8 +295,7 @@ class DisplacementRollouts:
             # nothing that decides on the next mini step has changed
             touched.stuck[rows[blocked]] = self.settings.hazard != "per_mini_step"
             if self.settings.guarded:
-                felt = rows[at[self.feels[point]]]
-                touched.strayed[felt] = touched.stuck[felt] = True
+                touched.strayed[rows[at]] = touched.stuck[rows[at]] = True
         return len(possible)
 
     def _motion(

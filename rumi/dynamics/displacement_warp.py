@@ -54,7 +54,7 @@ def _roll_out(
     numbers: gpu.Numbers(3),
     mini_steps: int,
     holds: bool,
-    ends: wp.array(dtype=wp.bool),
+    guarded: bool,
     configurations: wp.array4d(dtype=Any),
     displacements: wp.array4d(dtype=Any),
     contact: wp.array3d(dtype=wp.bool),
@@ -120,12 +120,12 @@ def _roll_out(
                         if pushes(normal, motion, push_cosine, last == 3):
                             offset = offset + wp.vector(motion[0], motion[1])
                             now = free
-                            if ends[point]:
+                            if guarded:
                                 strayed = True
                                 stuck = True
                         else:
                             strayed = True
-                            stuck = holds or ends[point]
+                            stuck = holds or guarded
             contact[k, m, t - 1] = met
         configurations[k, m, t, 0] = now[0]
         configurations[k, m, t, 1] = now[1]
@@ -169,7 +169,7 @@ def rollouts(model: Any, configuration: Tensor, controls: Tensor, uniforms: Tens
         (1.0 / probability.spacing, tie, math.cos(settings.push_angle)),
         settings.mini_steps,
         settings.hazard != "per_mini_step",
-        model.feels[cover.order] & settings.guarded,
+        settings.guarded,
         configurations,
         displacements,
         contact,
