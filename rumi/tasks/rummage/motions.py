@@ -69,13 +69,6 @@ def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
     return replace(simulator, guarded="always" if unmeasured else "never")
 
 
-def retreats(spec: TaskSpec, settings: Settings) -> bool:
-    """Whether the tool goes back from an object that leans on it: where it may fall, and nothing measures how."""
-    if settings.retreats is not None:
-        return settings.retreats
-    return not is_planar(spec) and guarded(spec, settings).guarded == "always"
-
-
 def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     """The planner's settings with what suits guarded moves in space, where nothing else is asked for.
 

@@ -50,8 +50,6 @@ class Settings:
         device: where plans are made, "cpu" or "cuda"; the belief is followed on the CPU.
         dtype: of the belief and the planner.
         replan_every: actions carried out of one plan; a contact always asks for a new one.
-        retreats: whether the tool goes back the way it came, an action, from an object that most of the belief has
-            leaning on it, so that it stands again and does not fall. None for where actions in space are guarded.
         plan_budget_s: seconds that each plan may take, for which it makes do with less; runs are not the same then from
             one time to the next. None for as long as it needs.
         tool_height_m: of a level tool's middle above the table; None for the task's, or lower where the object is.
@@ -80,7 +78,6 @@ class Settings:
     device: Literal["cpu", "cuda"] = "cpu"
     dtype: Literal["float32", "float64"] = "float32"
     replan_every: int = 1
-    retreats: bool | None = None
     plan_budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     tool_height_m: Annotated[float | None, tyro.conf.arg(name="tool-height", metavar="M")] = None
     filter: FilterSettings = field(default_factory=FilterSettings)
