@@ -28,7 +28,7 @@ from rumi.sim.conditions import Conditions
 from rumi.sim.faults import FAULTS
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
-from rumi.tasks.rummage.lost import HAND_OR_CAMERA, NOTHING_FELT
+from rumi.tasks.rummage.explanations import HAND_OR_CAMERA, NOTHING_FELT
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
 from scripts.outcomes import by_chance, ended, right, sure, wrong

@@ -1,17 +1,15 @@
-"""Whether a run is lost: a test of every reading against the belief, and what an alarm is named."""
+"""Whether a run is lost: a test of every reading against the belief."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeGuard
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief import rival_filters, trajectory_faults
-from rumi.belief.change_test import ChangeEvidence, ChangeTest
-from rumi.belief.island_filter import IslandFilter
+from rumi.belief.change_test import ChangeTest
 from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
 from rumi.belief.pose_filter import PoseFilter
@@ -20,41 +18,23 @@ from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.remarks import Remark
 from rumi.belief.rival_filters import Rival
 from rumi.records import StepRecord
+from rumi.tasks.rummage.explanations import (
+    GONE,
+    HAND_OR_CAMERA,
+    NOTHING_FELT,
+    SEARCHED,
+    STATIC,
+    UNFELT,
+    chances_of,
+    faults_of,
+    follows,
+    named,
+)
 from rumi.tasks.rummage.fault_state import Watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, attach
 from sensors.reading import Reading
 
-PRIOR: dict[str, float] = {
-    "knocked": 0.25,
-    "absent": 0.1,
-    "dead hand": 0.1,
-    "false contacts": 0.15,
-    "push model off": 0.1,
-    "stuck hand": 0.03,
-    "second object": 0.03,
-    "stale camera": 0.03,
-    "none of these": 0.04,
-}
-"""What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
-
-_MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
-STATIC = {"hand off": 0.1, "camera off": 0.1, "another size": 0.1, "push model off": 0.05}
-"""The same of faults that hold from the first view on."""
-
-NOTHING_FELT = "absent or dead hand"
-"""What an alarm is named where the object's absence and a hand that feels nothing are as probable."""
-
-HAND_OR_CAMERA = "hand or camera off"
-"""What an alarm is named where touches are beside the view, and little tells which of the two is off."""
-
-_TIE = 1e-6  # share by which probabilities of faults with the same densities may differ
-_FAULTY = 0.2  # share of runs with a fault, for what is told alone: no alarm hangs on it
-# faults after which a search finds nothing
-_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off", HAND_OR_CAMERA, "stale camera")
-_SEARCHED = ("knocked", "none of these")  # with the same search after them
-_UNFELT = ("absent", "dead hand", NOTHING_FELT)
-_SURE = 0.95  # share of one of hand and camera in what both have, from which on it is named alone
 _CLEAR, _WAITS = 0.7, 2  # probability from which on an alarm is named at once, and actions that it waits for it
 _TELLS = 1.0  # nats
 _FALSE_TOUCH = "false touch"  # remark by a step whose reading was left out
@@ -95,11 +75,6 @@ def sensed_now(record: StepRecord, motion: str) -> Observation:
     return attach(now, torch.zeros_like(now.semantics), record.belief.world_T_attached[None])
 
 
-def faults_of(pose_filter: PoseFilter) -> Mapping[str, float]:
-    """What a run by a filter may be lost by, with prior shares."""
-    return PRIOR if follows(pose_filter) else _MISFITS
-
-
 def watch(
     before: Watch,
     last: StepRecord,
@@ -132,7 +107,7 @@ def watch(
     Returns:
         what is known now, and a remark where an alarm is due.
     """
-    open_yet = before.named in (None, *_UNFELT)  # what was only not felt may be felt again
+    open_yet = before.named in (None, *UNFELT)  # what was only not felt may be felt again
     if own.alpha == 0 or (before.lost and not open_yet):
         return replace(before, nats=0.0, p_value=1.0, set_aside=False), None
     shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
@@ -151,7 +126,7 @@ def watch(
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
     chances = dict.fromkeys(["no fault", *names], 0.0)
-    for name, chance in zip(["no fault", *names], _chances(test, evidence), strict=True):
+    for name, chance in zip(["no fault", *names], chances_of(test, evidence), strict=True):
         chances[name] += chance
     after = replace(
         before,
@@ -166,12 +141,12 @@ def watch(
     )
     if not bool(test.alarm(evidence)):
         return replace(after, set_aside=strange), None
-    name, chance = _named(chances)
-    clear = sum(chances[each] for each in _SEARCHED) if name in _SEARCHED else chance
+    name, chance = named(chances)
+    clear = sum(chances[each] for each in SEARCHED) if name in SEARCHED else chance
     if clear < _CLEAR and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
         tells = bool((ratios.abs() > _TELLS).logical_and(ratios.isfinite()).any())
         return replace(after, waited=after.waited + tells), None
-    if before.lost and (name in _UNFELT or not bool(record.reading.in_contact.any())):
+    if before.lost and (name in UNFELT or not bool(record.reading.in_contact.any())):
         return after, None
     likeliest = {NOTHING_FELT: "absent", HAND_OR_CAMERA: "hand off"}.get(name, name)
     since = before.begun + max(1, round(float(test.onset(evidence)[names.index(likeliest)])))
@@ -180,11 +155,11 @@ def watch(
         record.step,
         f"no pose that is believed fits since about action {since}; as if {name} (probability {chance:.2f})",
     )
-    searches = own.recover and name not in _GONE
+    searches = own.recover and name not in GONE
     told_by = replace(
         after,
-        evidence=after.evidence if name in _UNFELT else None,
-        begun=before.begun if name in _UNFELT else record.step,
+        evidence=after.evidence if name in UNFELT else None,
+        begun=before.begun if name in UNFELT else record.step,
         lost=not searches,
         named=name,
         explanations=chances,
@@ -227,7 +202,7 @@ def _all_ratios(
     before: Watch, of_action: Float[Tensor, "k"], static: Mapping[str, float], names: Sequence[str]
 ) -> Float[Tensor, "K"]:
     """Log-likelihood ratios of a reading, of faults of the action and of those that hold from the first view on."""
-    open_yet = before.named in (None, *_UNFELT)
+    open_yet = before.named in (None, *UNFELT)
     rest = [
         static[name] - before.static[name] if open_yet and static[name] > -math.inf else -math.inf
         for name in names[len(of_action) :]
@@ -273,28 +248,6 @@ def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
     return replace(told_by, adopted=best, following=following, rivals=None)
 
 
-def _named(chances: Mapping[str, float]) -> tuple[str, float]:
-    """What an alarm is named, and its probability: the likeliest fault, two that nothing told apart being one."""
-    each = {name: chance for name, chance in chances.items() if name != "no fault"}
-    gone, dead, hand, view = (each.get(name, 0.0) for name in ("absent", "dead hand", "hand off", "camera off"))
-    if "dead hand" in each and abs(gone - dead) <= _TIE * max(gone, dead):
-        each = {name: chance for name, chance in each.items() if name not in ("absent", "dead hand")}
-        each[NOTHING_FELT] = gone + dead
-    if "hand off" in each and max(hand, view) < _SURE * (hand + view):
-        each = {name: chance for name, chance in each.items() if name not in ("hand off", "camera off")}
-        each[HAND_OR_CAMERA] = hand + view
-    name = max(each, key=lambda one: each[one])
-    return name, each[name]
-
-
-def _chances(test: ChangeTest, evidence: ChangeEvidence) -> list[float]:
-    """Posterior of no fault in the run so far, then of each fault, where `_FAULTY` of the runs come to have one."""
-    each = test.explanations(evidence)
-    count = float(evidence.readings) + 1.0  # the test itself has every run come to a fault, some time
-    each = torch.cat((each[:1] * (_FAULTY + (1.0 - _FAULTY) * count), _FAULTY * each[1:]))
-    return [float(part) for part in each / each.sum()]
-
-
 def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRecord:
     """A step's record with what is known of faults after it."""
     if now.set_aside:
@@ -307,11 +260,6 @@ def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRec
         explanations=dict(now.explanations),
         remarks=(*record.remarks, *filter(None, (alarm,))),
     )
-
-
-def follows(pose_filter: PoseFilter) -> TypeGuard[PoseTrajectoryFilter]:
-    """Whether particles have trajectories of their own, of an upright object."""
-    return isinstance(pose_filter, PoseTrajectoryFilter) and not isinstance(pose_filter, IslandFilter)
 
 
 def _beside(last: StepRecord, record: StepRecord, pose_filter: PoseFilter) -> float:

@@ -17,8 +17,9 @@ from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.rival_filters import Rival, adopted
 from rumi.records import StepRecord
 from rumi.resampling import resample_systematic
+from rumi.tasks.rummage.explanations import follows
 from rumi.tasks.rummage.fault_state import Watch
-from rumi.tasks.rummage.lost import follows, sensed_now
+from rumi.tasks.rummage.lost import sensed_now
 from rumi.weights import boltzmann
 from sdf import se3
 from sensors.observation import Observation, merge

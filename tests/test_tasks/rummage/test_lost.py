@@ -12,8 +12,9 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.remarks import Remark
 from rumi.tasks.rummage import lost
 from rumi.tasks.rummage.entry import ENTRIES, Rummaging, ending
+from rumi.tasks.rummage.explanations import HAND_OR_CAMERA, NOTHING_FELT, PRIOR, SEARCHED, STATIC, named
 from rumi.tasks.rummage.fault_state import Watch
-from rumi.tasks.rummage.lost import PRIOR, STATIC, told, unseated, watch
+from rumi.tasks.rummage.lost import told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
 from sdf import se3
 from sdf.object_model import box_model
@@ -109,12 +110,12 @@ def test_an_absent_object_leaves_the_run_lost(model, pose_filter):
 
 def test_faults_that_nothing_tells_apart_are_named_together():
     even = {"no fault": 0.1, "knocked": 0.4, "absent": 0.25, "dead hand": 0.25}
-    assert lost._named(even) == (lost.NOTHING_FELT, 0.5)
-    assert lost._named(even | {"dead hand": 0.2}) == ("knocked", 0.4)
-    assert lost._named({"no fault": 0.5, "knocked": 0.2, "absent": 0.3}) == ("absent", 0.3)
+    assert named(even) == (NOTHING_FELT, 0.5)
+    assert named(even | {"dead hand": 0.2}) == ("knocked", 0.4)
+    assert named({"no fault": 0.5, "knocked": 0.2, "absent": 0.3}) == ("absent", 0.3)
     beside = even | {"hand off": 0.5, "camera off": 0.1}
-    assert lost._named(beside) == (lost.HAND_OR_CAMERA, 0.6)
-    assert lost._named(beside | {"camera off": 0.01}) == ("hand off", 0.5)
+    assert named(beside) == (HAND_OR_CAMERA, 0.6)
+    assert named(beside | {"camera off": 0.01}) == ("hand off", 0.5)
 
 
 def test_an_alarm_waits_for_two_telling_actions_at_most_where_its_fault_is_not_clear(model, pose_filter, monkeypatch):
@@ -134,6 +135,7 @@ def test_an_alarm_by_a_rival_is_asked_again(model, pose_filter, monkeypatch, aga
         return (), dict.fromkeys(STATIC, -math.inf) | {"hand off": nats}
 
     monkeypatch.setattr(lost, "follows", lambda _: True)
+    monkeypatch.setattr(lost, "faults_of", lambda _: PRIOR)
     monkeypatch.setattr(lost, "_ratios", lambda *_: torch.zeros(len(PRIOR), dtype=torch.float64))
     monkeypatch.setattr(lost, "_rivals", lambda *_: told(20.0))
     monkeypatch.setattr(lost, "_asked_again", lambda *_: told(again))
@@ -147,6 +149,7 @@ def test_a_reading_with_a_false_touch_that_is_no_fault_is_left_out_and_told(mode
     ratios = torch.zeros(len(PRIOR), dtype=torch.float64)
     ratios[list(PRIOR).index("false contacts")] = 3.0
     monkeypatch.setattr(lost, "follows", lambda _: True)
+    monkeypatch.setattr(lost, "faults_of", lambda _: PRIOR)
     monkeypatch.setattr(lost, "_ratios", lambda *_: ratios)
     monkeypatch.setattr(lost, "_rivals", lambda *_: (None, dict.fromkeys(STATIC, 0.0)))
     last, record = step(model, 1, 0.0), step(model, 2, 0.3)
@@ -171,7 +174,7 @@ def test_what_was_not_felt_and_is_felt_again_elsewhere_is_searched_for(model, po
     found = followed(model, pose_filter, steps)
     names = [(remark.name, now.lost) for now, _, remark in found if remark is not None]
     assert names[0] == ("lost: absent", True) and names[1][1] is False and len(names) == 2
-    assert names[1][0].removeprefix("lost: ") in lost._SEARCHED
+    assert names[1][0].removeprefix("lost: ") in SEARCHED
 
 
 def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, pose_filter):
