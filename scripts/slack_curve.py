@@ -40,7 +40,7 @@ from rumi.tasks.registry import TASKS, TaskEntry
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.entry import RummageTask
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import FIGURES, RESULTS, Experiment, Line
 from scripts.outcomes import by_chance, ended, right, won_lost, wrong

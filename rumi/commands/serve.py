@@ -100,7 +100,7 @@ def made(options: ServeOptions) -> "Served":
     from rumi.runs.folder import make_folder
     from rumi.tasks.rummage.objects import OBJECTS, own_model
     from rumi.tasks.rummage.own import rummager, unmeasured
-    from rumi.tasks.rummage.scenes import PriorSpec
+    from rumi.tasks.rummage.scene_spec import PriorSpec
     from rumi.tasks.rummage.settings import preset
 
     if (options.builtin is None) == (options.object.mesh is None):

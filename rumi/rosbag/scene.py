@@ -22,7 +22,7 @@ from rumi.tasks.registry import IMPORTED
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings, own_model
 from rumi.tasks.rummage.own import rummager
-from rumi.tasks.rummage.scenes import PriorSpec
+from rumi.tasks.rummage.scene_spec import PriorSpec
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from sdf.base import SDF
 from sensors.evidence import EvidenceModel

@@ -17,7 +17,8 @@ from rumi.registration.descent import Search
 from rumi.seeding import split
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.build import make_task
-from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
+from rumi.tasks.rummage.scene_spec import TaskSpec
+from rumi.tasks.rummage.scenes import find_task, make_tool
 from scripts.store import clock
 from sdf.grid_sdf import GridSDF
 from sdf.object_model import ObjectModel

@@ -9,7 +9,8 @@ import tyro
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.errors import UsageError
 from rumi.sim.joint_torques import JointSettings
-from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec, large_handled_mug
+from rumi.tasks.rummage.scene_spec import PriorSpec, TaskSpec
+from rumi.tasks.rummage.scenes import large_handled_mug
 from sdf.bounds import Checked, Count, NotNegative, Positive
 
 SensorName = Literal["camera", "bubbles", "wrench", "torques"]

@@ -46,7 +46,8 @@ from rumi.tasks.rummage.motions import (
     trajectory_filter,
 )
 from rumi.tasks.rummage.objects import with_object
-from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
+from rumi.tasks.rummage.scene_spec import TaskSpec
+from rumi.tasks.rummage.scenes import find_task, make_tool
 from rumi.tasks.rummage.sensed import SensedTask
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.rummage.simulated import SimTask

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from rumi.sim.view_faults import ViewFaults
 from rumi.sim.world import World
-from rumi.tasks.rummage.scenes import CameraSpec
+from rumi.tasks.rummage.scene_spec import CameraSpec
 from sdf import se3
 from sensors.vision.camera import look_at, pinhole, pixel_points, pixel_rays
 from sensors.vision.robot_body import RobotBody

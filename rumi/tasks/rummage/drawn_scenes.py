@@ -3,7 +3,8 @@
 import math
 from dataclasses import replace
 
-from rumi.tasks.rummage.scenes import SCENES, DrawSpec, TaskSpec, large_handled_mug
+from rumi.tasks.rummage.scene_spec import DrawSpec, TaskSpec
+from rumi.tasks.rummage.scenes import SCENES, large_handled_mug
 
 DRAWN: dict[str, TaskSpec] = {
     "mug": TaskSpec(

@@ -24,7 +24,8 @@ from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.idle_errors import check_errors
 from rumi.tasks.rummage.objects import record
 from rumi.tasks.rummage.raw_streams import RawStreams
-from rumi.tasks.rummage.scenes import SCENES, TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
+from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from rumi.viz.rummaging_view import RummagingView
 from sensors.reading import Reading

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation
 from sensors.semantics import Semantics

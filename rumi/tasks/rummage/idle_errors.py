@@ -3,7 +3,7 @@
 from rumi.errors import UsageError
 from rumi.sim.conditions import bundle, value_of
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.settings import Settings
 
 _OF_IMAGES = ("bubble_noise_m", "lost", "late_s", "membrane_m", "frame_rate_hz")

@@ -23,7 +23,7 @@ from rumi.registration.descent import Search
 from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.settings import Settings
 from sdf.object_model import ObjectModel
 from sdf.primitives import Mug

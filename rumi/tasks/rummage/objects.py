@@ -19,7 +19,7 @@ from rumi.runs.plain import plain
 from sdf.bounds import Checked, Finite, Positive
 
 if TYPE_CHECKING:
-    from rumi.tasks.rummage.scenes import TaskSpec
+    from rumi.tasks.rummage.scene_spec import TaskSpec
     from sdf.mesh.mesh_sdf import MeshSDF
     from sdf.object_model import ObjectModel
     from sdf.symmetry import Symmetries

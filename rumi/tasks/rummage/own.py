@@ -17,7 +17,7 @@ from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build_rummager
 from rumi.tasks.rummage.motions import check_pushing, untracked
 from rumi.tasks.rummage.objects import ObjectSettings
-from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
+from rumi.tasks.rummage.scene_spec import PriorSpec, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, preset, to_dict
 from rumi.tasks.rummage.tool_height import check_slice
 from sdf.object_model import ObjectModel

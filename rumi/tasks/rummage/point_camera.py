@@ -10,7 +10,7 @@ from rumi.sim.view_faults import ViewFaults, taken_pose
 from rumi.sim.world import World
 from rumi.tasks.rummage.depth_camera import depth_image, moved, without_robot
 from rumi.tasks.rummage.free_region import floor_points, region_about, region_of_prior, region_unseen
-from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
+from rumi.tasks.rummage.scene_spec import CameraSpec, TaskSpec
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation
 from sensors.vision.camera import depth_observation, look_at, pinhole

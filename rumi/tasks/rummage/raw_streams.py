@@ -16,7 +16,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from sensors.vision.camera import pinhole
 
 _BUBBLES = ("left", "right")

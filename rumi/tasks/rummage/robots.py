@@ -15,7 +15,7 @@ from rumi.sim.sensors import measure
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.world import Track, World
 from rumi.sim.wrist_force import wrist_force
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from sensors.reading import FORCE, TORQUE_CONTACT
 
 

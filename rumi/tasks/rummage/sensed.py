@@ -21,7 +21,7 @@ from rumi.task import StepResult
 from rumi.tasks.rummage.depth_camera import cast_pixels
 from rumi.tasks.rummage.free_region import region_about, region_unseen
 from rumi.tasks.rummage.raw_streams import RawStreams
-from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
+from rumi.tasks.rummage.scene_spec import CameraSpec, TaskSpec
 from rumi.tasks.rummage.simulated import SimTask
 from sdf import se3
 from sdf.object_model import ObjectModel

@@ -30,7 +30,7 @@ from rumi.sim.world import Guard, Track, World
 from rumi.task import StepResult
 from rumi.tasks.rummage.point_camera import PointCamera
 from rumi.tasks.rummage.robots import make_world, measurements
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.true_contact import outside, touching
 from sdf import se3
 from sdf.object_model import ObjectModel

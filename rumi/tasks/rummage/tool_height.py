@@ -9,7 +9,7 @@ from torch import Tensor
 from rumi.dynamics.outline import slice_of
 from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from sdf.base import SDF
 
 CLEARANCE_M = 0.001

@@ -11,7 +11,7 @@ from rumi.runs.folder import RunRecorder
 from rumi.sim.settings import SimSettings
 from rumi.task import StepResult
 from rumi.tasks.rummage.objects import ObjectSettings
-from rumi.tasks.rummage.scenes import PriorSpec
+from rumi.tasks.rummage.scene_spec import PriorSpec
 from sdf.object_model import box_model, mug_model
 from sdf.primitives import Sphere
 from tests.fixtures.readings import make_reading
