@@ -220,6 +220,20 @@ def test_an_object_that_neither_pads_nor_a_camera_find_any_more_is_gone(model):
         assert max(told, key=told.__getitem__) == "absent" and told["absent"] > told["dead hand"] + apart
 
 
+def test_a_view_of_nothing_tells_little_where_all_else_fits(model):
+    """A camera may miss the object now and then, and no single view that does is worth an alarm."""
+    pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
+    before = particles()
+    even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
+    segment = reading(Kind.PAD_CLEAR, -0.05)
+    after = taken_in(before, segment._replace(weight=segment.weight.double()), model)
+    looks = (looked(FACE), looked(FACE[:0]))
+    found = log_ratios(before, even, after, pose_filter, OWN, generator=generator(2), looks=looks)
+    assert 0.0 < float(found.max()) <= 1.0
+    nothing = log_ratios(before, even, before, pose_filter, OWN, generator=generator(2), looks=looks)
+    assert float(nothing.abs().max()) == 0.0
+
+
 def test_a_contact_that_slides_off_the_surface_believed_is_no_false_one(model):
     own, strange = reading(Kind.FELT, -SENSED.felt_m, instants=2), reading(Kind.FELT, -0.3, instants=1)
     slid = own._replace(
