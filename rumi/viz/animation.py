@@ -10,7 +10,7 @@ from rumi.records import StepRecord
 from rumi.runs.files import whole_file
 from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
-from rumi.viz.curves import nll_curve
+from rumi.viz.curves import highest_nll, nll_curve
 from rumi.viz.scene import Extent, information_at, interesting, legend_entries, scene_from_above
 from sdf.extras import optional
 
@@ -58,7 +58,7 @@ def animate(
             title.set_text(heading + (ending if step == shown_steps[-1] else ""))
             scene_from_above(so_far, geometry, scene, information=information_at(steps, step), extent=extent)
             nll_curve(so_far, curve, threshold=threshold, last=steps[-1].step)
-            curve.set_ylim(0, 1.12 * _highest(steps, threshold))
+            curve.set_ylim(0, 1.12 * highest_nll(steps, threshold))
             curve.legend(loc="upper right")
             if not figure.legends:
                 figure.legend(*legend_entries(scene), loc="outside lower center", ncols=4, handlelength=1.6)
@@ -76,11 +76,6 @@ def animate(
     with whole_file(path) as aside:
         indexed[0].save(aside, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)
     return path
-
-
-def _highest(steps: Sequence[StepRecord], threshold: float | None) -> float:
-    values = [step.expected_nll for step in steps] + [step.nll for step in steps if step.nll is not None]
-    return float(np.nanmax([*values, threshold or 0.0, 1.0]))
 
 
 def _evenly(count: int, most: int) -> list[int]:

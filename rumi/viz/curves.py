@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+_BEYOND = 10.0  # times what the belief expects at most, up to which the true surface's curve is followed
+
+
 def nll_curve(
     steps: Sequence[StepRecord], ax: "Axes", *, threshold: float | None = None, last: int | None = None
 ) -> "Axes":
@@ -33,10 +36,16 @@ def nll_curve(
     )
     if known:
         ax.plot(*zip(*known, strict=True), color=style.NLL, lw=1.8, marker="o", ms=3.5, label="of the true surface")
-    highest = np.nanmax([*expected, *(value for _, value in known), threshold or 0.0, 1.0])
-    ax.set_ylim(0, 1.12 * float(highest))
+    ax.set_ylim(0, 1.12 * highest_nll(steps, threshold))
     ax.set_ylabel("nll [nats]")
     return _steps(steps, ax, last)
+
+
+def highest_nll(steps: Sequence[StepRecord], threshold: float | None) -> float:
+    """Greatest negative log-likelihood that a curve shows; where the object was taken away its own leaves the axis."""
+    own = float(np.nanmax([*(step.expected_nll for step in steps), threshold or 0.0, 1.0]))
+    known = [step.nll for step in steps if step.nll is not None]
+    return max(own, min(float(np.nanmax([*known, 0.0])), _BEYOND * own))
 
 
 def apc_curve(

@@ -13,7 +13,7 @@ from rumi.runs.memory import memory
 from rumi.runs.scene_geometry import outline_of_points
 from rumi.viz import style
 from rumi.viz.animation import animate
-from rumi.viz.curves import apc_curve, nll_curve
+from rumi.viz.curves import apc_curve, highest_nll, nll_curve
 from rumi.viz.figures import heading, make_figures, telling_steps
 from rumi.viz.outlines import contours, hull, object_outline, placed
 from rumi.viz.scene import information_at, interesting, scene_from_above
@@ -191,3 +191,11 @@ def test_outline_of_points_keeps_the_size_of_the_shape():
     np.testing.assert_allclose(line.min(0), [-0.03, -0.05], atol=1.5e-3)
     np.testing.assert_allclose(line.max(0), [0.03, 0.05], atol=1.5e-3)
     assert area(line) == pytest.approx(0.06 * 0.1, rel=0.04)
+
+
+def test_an_object_that_was_taken_away_leaves_the_rest_of_the_curves_to_be_seen(made):
+    expected = max(step.expected_nll for step in made.steps)
+    known = max(step.nll for step in made.steps)
+    assert highest_nll(made.steps, 20.0) == pytest.approx(max(expected, known, 20.0))
+    gone = [*made.steps[:-1], replace(made.steps[-1], nll=5e7)]
+    assert highest_nll(gone, 20.0) == pytest.approx(10.0 * max(expected, 20.0))
