@@ -110,6 +110,11 @@ class IslandFilter(BootstrapFilter):
         again = super().begun_again
         return mixture([again(island, reading, generator=generator) for island in islands_of(belief)])
 
+    def leaning(self, belief: PoseBelief, least_rad: float) -> float:
+        """Share of a belief that leans on the tool by at least an angle."""
+        each = [super(IslandFilter, self).leaning(island, least_rad) for island in islands_of(belief)]
+        return sum(each) / len(each)
+
     def log_chance(self, belief: PoseBelief) -> float:
         """Log of a bound on the p-value of all readings at the best particle of any population."""
         return max(super(IslandFilter, self).log_chance(island) for island in islands_of(belief))

@@ -193,6 +193,11 @@ class PoseTrajectoryFilter(PoseFilter):
         moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
         return float(moved.double().mean()) >= _MOVED
 
+    def leaning(self, belief: PoseBelief, least_rad: float) -> float:
+        """Share of a belief that leans on the tool by at least an angle."""
+        now, log_weights = self.particles_of(belief)
+        return float(self.model.unsettled(now.pose, least_rad).double() @ log_weights.exp())
+
     def _leans(self, now: Trajectories, log_weights: Tensor) -> bool:
         """Whether more of the belief than counts for nothing leans on the tool."""
         return float(self.model.unsettled(now.pose).double() @ log_weights.exp()) > _UNSETTLED

@@ -72,8 +72,8 @@ class Pushed(Protocol):
         """Points in the frame of each pose."""
         ...
 
-    def unsettled(self, poses: Float[Tensor, "N D"]) -> Bool[Tensor, "N"]:
-        """Whether each moves as soon as the tool does, touched or not."""
+    def unsettled(self, poses: Float[Tensor, "N D"], least_rad: float = 0.0) -> Bool[Tensor, "N"]:
+        """Whether each moves as soon as the tool does, touched or not: tilted by so much, it leans on the tool."""
         ...
 
     def lifted(self, tool_pose: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K"]:

@@ -116,7 +116,7 @@ class PushedObject:
         local = rotated(points[:, :2] - pose[:, None, :2], -pose[:, None, 2])
         return torch.cat((local, points[:, 2:].expand(len(pose), -1, 1)), -1)
 
-    def unsettled(self, poses: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
+    def unsettled(self, poses: Float[Tensor, "N 3"], least_rad: float = 0.0) -> Bool[Tensor, "N"]:
         """Never: it stands upright."""
         return torch.zeros(len(poses), dtype=torch.bool)
 

@@ -114,9 +114,9 @@ class ToppledObject:
         """Points in the frame of each pose."""
         return se3.apply(se3.inverse(self.world_T_object(pose)), points.expand(len(pose), -1, 3))
 
-    def unsettled(self, poses: Float[Tensor, "N 6"]) -> Bool[Tensor, "N"]:
-        """Whether each leans on the tool."""
-        return poses[:, 4] >= 0
+    def unsettled(self, poses: Float[Tensor, "N 6"], least_rad: float = 0.0) -> Bool[Tensor, "N"]:
+        """Whether each leans on the tool, by at least an angle."""
+        return (poses[:, 4] >= 0) & (poses[:, 5] >= least_rad)
 
     def lifted(self, tool_pose: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K"]:
         """Never: its path tells how high it is."""

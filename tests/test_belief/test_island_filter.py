@@ -1,5 +1,6 @@
 """Islands: populations that go on by themselves, whose even mixture is the belief."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -121,6 +122,24 @@ def test_a_jump_begins_every_island_anew(box, prior):
     assert isinstance(again, IslandBelief) and len(again.islands) == 3
     assert all(island.every.apart for island in again.islands)
     assert bool(torch.isfinite(again.world_T_object).all())
+
+
+def test_what_leans_is_weighed_over_all_islands(box, prior):
+    followed = follow(box, prior, IslandFilter, unseen_particles=90, islands=3, exchanged=0.0)
+    belief, _ = begin(followed, prior)
+    assert followed.leaning(belief, 0.0) == 0.0
+    tilts = (0.5, 2.0, 2.0)  # degrees, an island each
+    parts = []
+    for island, tilt in zip(islands_of(belief), tilts, strict=True):
+        now, log_weights = followed.particles_of(island)
+        poses = now.poses.clone()
+        poses[: len(now) * 4 // 5, -1, 4], poses[:, -1, 5] = 0.0, math.radians(tilt)
+        parts.append(
+            followed.belief_of(replace(now, poses=poses), log_weights, island.world_T_attached, island.log_weights)
+        )
+    leaning = mixture(parts)
+    assert followed.leaning(leaning, 0.0) == pytest.approx(0.8)
+    assert followed.leaning(leaning, math.radians(1.0)) == pytest.approx(0.8 * 2 / 3)
 
 
 def test_another_belief_is_refused(box, prior):

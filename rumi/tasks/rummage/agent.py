@@ -29,11 +29,13 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings
+from rumi.tasks.rummage.approach import cautious
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
 from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
 from rumi.tasks.rummage.lost import SLIDES, sensed_now, told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
+from rumi.tasks.rummage.retreat import leans, way_back
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
@@ -58,6 +60,7 @@ class RummageState:
         plan: that is being followed.
         executed: controls of it that were carried out.
         surprised: whether the reading calls for a new plan.
+        retreated: whether the last action took the tool back from an object that leant on it.
         watch: for faults.
         pushes: what was learnt of how the object slides; None where that is fixed.
     """
@@ -70,6 +73,7 @@ class RummageState:
     plan: Plan | None = None
     executed: int = 0
     surprised: bool = False
+    retreated: bool = False
     watch: Watch = field(default_factory=Watch)
     pushes: PushPosterior | None = None
 
@@ -98,6 +102,8 @@ class Rummager:
         looks_again: whether a camera sees the object after every action too.
         sensors: what the robot senses by, for people.
         conditions: what a simulated robot lacks, for people; empty for another.
+        approach_m: length of an action that may touch the object; 0 for as long as planned.
+        retreats: whether the tool goes back from an object that leans on it.
         remarks: whether steps are remarked on.
         pushes: prior over push parameters, which plans draw and measured motions teach; None where they are fixed.
         about: what a run's folder tells of the settings.
@@ -124,6 +130,8 @@ class Rummager:
     looks_again: bool = False
     sensors: str = "a first view, felt points"
     conditions: str = ""
+    approach_m: float = 0.0
+    retreats: bool = False
     remarks: bool = True
     pushes: PushPosterior | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
@@ -152,11 +160,17 @@ class Rummager:
         """Follow the plan, or one made anew: a contact is not where the plan had it.
 
         With a budget a plan is made first that nobody follows, since the first one of a process loads compiled code.
+        What leans on the tool is let back first, once, without a plan.
         """
         plan, executed = state.plan, state.executed
+        if self.retreats and state.record.step > 0 and not state.retreated and leans(self.filter, state.record.belief):
+            before, here = (step.reading.configuration for step in state.history[-2:])
+            back = way_back(before, here, self.tool.scale)
+            if back is not None:
+                return replace(state, plan=None, executed=0, retreated=True), back
         if plan is None or state.surprised or executed >= min(self.replan_every, len(plan.controls)):
             belief, scene, random = state.record.belief, self.scene(state), state.random
-            if self.budget_s is not None and plan is None:
+            if self.budget_s is not None and state.record.step == 0:
                 with state.clock("warm_up"):
                     self.policy.act(PlanRequest(belief, scene, budget_s=0.0, generator=random["warm_up"]))
             with state.clock("plan"):
@@ -166,7 +180,11 @@ class Rummager:
                     )
                 )
             executed = 0
-        return replace(state, plan=plan, executed=executed), plan.controls[executed]
+        control = plan.controls[executed]
+        if self.approach_m > 0:
+            here, belief = state.record.reading.configuration, state.record.belief
+            control = cautious(control, self.tool, here, belief, self.model.sdf, self.approach_m)
+        return replace(state, plan=plan, executed=executed, retreated=False), control
 
     def update(self, state: RummageState, control: Float[Tensor, "A"], result: StepResult | Reading) -> RummageState:
         """Take a reading in; after the first touch, and where sure, draw poses anew that might fit as well."""

@@ -33,6 +33,7 @@ from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.motions import (
+    approach,
     check_pushing,
     check_trajectory,
     followed,
@@ -43,6 +44,7 @@ from rumi.tasks.rummage.motions import (
     prior_of,
     push_posterior_of,
     pushed_motion,
+    retreats,
     trajectory_filter,
 )
 from rumi.tasks.rummage.objects import with_object
@@ -178,6 +180,8 @@ def build_rummager(
         # trajectories in space topple from one resting pose to the next, whatever the search for poses has
         upright=spec.search == "SE(2)" and not isinstance(pose_filter, IslandFilter),
         looks_again=_looks_again(spec, settings),
+        approach_m=approach(spec, settings),
+        retreats=retreats(spec, settings),
         sensors=_sensors(spec, settings),
         pushes=push_posterior_of(settings.planner) if _slides(spec, settings.planner) else None,
     )

@@ -39,6 +39,7 @@ _NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points
 # push model of plans of guarded moves in space, and what they weigh pushes and reach by
 _CARRIED, _PUSH_SCALE, _REACH_SCALE = "displacement", 1.0, 0.5
 _SHARPNESS = 300.0  # 1/m, of the sensor model that plans of guarded moves in space go by: as sharp as pads are
+_APPROACH_M = 0.04  # of an action in space that may touch the object
 _FRESH_M = 0.003  # way of the tool in space after which its pads tell something new
 _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 
@@ -67,6 +68,20 @@ def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
         return simulator
     unmeasured = followed(spec, settings).motion == "trajectory"
     return replace(simulator, guarded="always" if unmeasured else "never")
+
+
+def approach(spec: TaskSpec, settings: Settings) -> float:
+    """Length of an action that may touch the object, metres; 0 for as long as planned."""
+    if settings.approach_m is not None:
+        return settings.approach_m
+    return 0.0 if is_planar(spec) or guarded(spec, settings).guarded != "always" else _APPROACH_M
+
+
+def retreats(spec: TaskSpec, settings: Settings) -> bool:
+    """Whether the tool goes back from an object that leans on it: where it may fall, and nothing measures how."""
+    if settings.retreats is not None:
+        return settings.retreats
+    return not is_planar(spec) and guarded(spec, settings).guarded == "always"
 
 
 def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:

@@ -50,6 +50,10 @@ class Settings:
         device: where plans are made, "cpu" or "cuda"; the belief is followed on the CPU.
         dtype: of the belief and the planner.
         replan_every: actions carried out of one plan; a contact always asks for a new one.
+        approach_m: length of an action that may touch the object, which is slow then, for an action lasts as long
+            whatever its length; 0 for as long as planned. None for 40 mm where actions in space are guarded, else 0.
+        retreats: whether the tool goes back the way it came, an action, from an object that most of the belief has
+            leaning on it, so that it stands again and does not fall. None for where actions in space are guarded.
         plan_budget_s: seconds that each plan may take, for which it makes do with less; runs are not the same then from
             one time to the next. None for as long as it needs.
         tool_height_m: of a level tool's middle above the table; None for the task's, or lower where the object is.
@@ -78,6 +82,8 @@ class Settings:
     device: Literal["cpu", "cuda"] = "cpu"
     dtype: Literal["float32", "float64"] = "float32"
     replan_every: int = 1
+    approach_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    retreats: bool | None = None
     plan_budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     tool_height_m: Annotated[float | None, tyro.conf.arg(name="tool-height", metavar="M")] = None
     filter: FilterSettings = field(default_factory=FilterSettings)
@@ -104,6 +110,8 @@ class Settings:
             raise UsageError(f"Expected steps to be 0 or more, got {self.steps}")
         if self.replan_every < 1:
             raise UsageError(f"Expected replan_every to be 1 or more, got {self.replan_every}")
+        if self.approach_m is not None and not self.approach_m >= 0:
+            raise UsageError(f"Expected approach_m to be 0 or more, got {self.approach_m}")
         if self.plan_budget_s is not None and self.plan_budget_s < 0:
             raise UsageError(f"Expected plan_budget_s to be 0 or more, got {self.plan_budget_s}")
         if self.tool_height_m is not None and not self.tool_height_m > 0:

@@ -1,0 +1,39 @@
+"""Retreat: the tool goes back the way it came from an object that leans on it, which then stands again."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+
+_LEAST_RAD = math.radians(1.0)  # tilt from which on an object leans
+_SHARE = 0.5  # of the belief that leans, from which on the tool goes back
+_MOST_M = 0.04  # of the way back: by then what stands again touches the tool no more
+_LEAST_M = 1e-3  # of it, below which there is none
+
+
+def leans(pose_filter: PoseFilter, belief: PoseBelief) -> bool:
+    """Whether most of a belief leans on the tool."""
+    return isinstance(pose_filter, PoseTrajectoryFilter) and pose_filter.leaning(belief, _LEAST_RAD) > _SHARE
+
+
+def way_back(
+    before: Float[Tensor, "Q"], here: Float[Tensor, "Q"], scale: Float[Tensor, "Q"]
+) -> Float[Tensor, "Q"] | None:
+    """Control that takes the tool back to where it was, or a part of the way; None where that is where it is.
+
+    Args:
+        before: configuration before the last action.
+        here: the present one.
+        scale: what a control of 1 asks for.
+    """
+    way = before - here
+    way[-1] = torch.remainder(way[-1] + math.pi, 2.0 * math.pi) - math.pi
+    length = float(way[:-1].norm())
+    if length < _LEAST_M:
+        return None
+    return (way * min(1.0, _MOST_M / length) / scale.to(way)).clamp(-1.0, 1.0)
