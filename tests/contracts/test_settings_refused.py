@@ -131,7 +131,8 @@ REFUSED = [
     Refused(ObjectSettings, "give --mesh", [{"scale": 0.001}, {"upright": (0.0, 0.0, 90.0)}], UsageError),
     Refused(ObjectSettings, "upright", [{"mesh": "a.obj", "upright": (0.0, NAN, 0.0)}], UsageError),
     Refused(Settings, "no method 'poke'; there are rumi, info-only, reach-only", one("method", "poke"), UsageError),
-    Refused(Settings, None, [{"steps": -1}, {"replan_every": 0}, *one("tool_height_m", 0.0, NAN), *one("approach_m", -0.01, NAN)], UsageError),
+    Refused(Settings, None, [{"steps": -1}, {"replan_every": 0}, *one("tool_height_m", 0.0, NAN)], UsageError),
+    Refused(Settings, "approach_m to be 0 or more", one("approach_m", -0.01, NAN), UsageError),
     Refused(TouchTask, None, [{"rates": (0.1, 0.5)}, {"correlation": 1.0}, {"readings": 0}], UsageError),
     Refused(TouchTask, "box of at most 0.07 m", one("half", (0.036, 0.08)), UsageError),  # 8 mm less than the opening
     Refused(TouchTask, None, [{"half": (0.0, 0.08)}, {"height_m": -0.1}, {"spacing_m": 0.0}], UsageError),

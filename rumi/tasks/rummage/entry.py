@@ -154,7 +154,17 @@ class RummageTask(Rummaging):
         first = name.partition(".")[0]
         if first in ("task", "conditions", "simulator", "tool_height_m", "fault"):
             return "sensed"
-        idle = ("method", "preset", "replan_every", "approach_m", "retreats", "plan_budget_s", "planner", "slide", "gpvr")
+        idle = (
+            "method",
+            "preset",
+            "replan_every",
+            "approach_m",
+            "retreats",
+            "plan_budget_s",
+            "planner",
+            "slide",
+            "gpvr",
+        )
         return "idle" if first in idle else "counted"
 
     def as_dict(self, settings: Settings) -> dict[str, Any]:
