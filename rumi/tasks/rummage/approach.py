@@ -9,6 +9,9 @@ from rumi.robot.tool import Tool
 from sdf.base import SDF
 from sdf.posed import posed_distance
 
+APPROACH_M = 0.04
+"""Length of an action that may touch an object which is soon toppled."""
+
 _PARTS = 20  # of an action, at whose ends the tool is looked at
 _PARTICLES = 64  # that stand for the belief
 _SHARE = 0.02  # of the belief that the tool meets, from which on a touch is probable

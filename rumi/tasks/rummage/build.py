@@ -32,8 +32,8 @@ from rumi.sim.sensor_faults import Stale
 from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.approach import APPROACH_M
 from rumi.tasks.rummage.motions import (
-    approach,
     check_pushing,
     check_trajectory,
     followed,
@@ -44,8 +44,8 @@ from rumi.tasks.rummage.motions import (
     prior_of,
     push_posterior_of,
     pushed_motion,
-    retreats,
     trajectory_filter,
+    unsteady,
 )
 from rumi.tasks.rummage.objects import with_object
 from rumi.tasks.rummage.scene_spec import TaskSpec
@@ -161,6 +161,7 @@ def build_rummager(
             surface = tool.shape.surface(SignalSettings().spacing_m).to(dtype)
             further = make_evidence(following.evidence, model.sdf, surface)
         pose_filter = PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed)
+    careful = unsteady(pose_filter) and guarded(spec, settings).guarded == "always"
     return Rummager(
         model,
         pose_filter.to(dtype),
@@ -180,8 +181,8 @@ def build_rummager(
         # trajectories in space topple from one resting pose to the next, whatever the search for poses has
         upright=spec.search == "SE(2)" and not isinstance(pose_filter, IslandFilter),
         looks_again=_looks_again(spec, settings),
-        approach_m=approach(spec, settings),
-        retreats=retreats(spec, settings),
+        approach_m=(APPROACH_M if careful else 0.0) if settings.approach_m is None else settings.approach_m,
+        retreats=careful if settings.retreats is None else settings.retreats,
         sensors=_sensors(spec, settings),
         pushes=push_posterior_of(settings.planner) if _slides(spec, settings.planner) else None,
     )

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rumi.belief.island_filter import IslandFilter
 from rumi.belief.motion import Motion, PushedMotion
-from rumi.belief.pose_filter import FilterSettings
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_object import PushedObject
@@ -39,7 +39,7 @@ _NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points
 # push model of plans of guarded moves in space, and what they weigh pushes and reach by
 _CARRIED, _PUSH_SCALE, _REACH_SCALE = "displacement", 1.0, 0.5
 _SHARPNESS = 300.0  # 1/m, of the sensor model that plans of guarded moves in space go by: as sharp as pads are
-_APPROACH_M = 0.04  # of an action in space that may touch the object
+_UNSTEADY_RAD = 0.2  # of tilt about some edge, by which an object that falls over then is soon toppled
 _FRESH_M = 0.003  # way of the tool in space after which its pads tell something new
 _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 
@@ -70,18 +70,12 @@ def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
     return replace(simulator, guarded="always" if unmeasured else "never")
 
 
-def approach(spec: TaskSpec, settings: Settings) -> float:
-    """Length of an action that may touch the object, metres; 0 for as long as planned."""
-    if settings.approach_m is not None:
-        return settings.approach_m
-    return 0.0 if is_planar(spec) or guarded(spec, settings).guarded != "always" else _APPROACH_M
-
-
-def retreats(spec: TaskSpec, settings: Settings) -> bool:
-    """Whether the tool goes back from an object that leans on it: where it may fall, and nothing measures how."""
-    if settings.retreats is not None:
-        return settings.retreats
-    return not is_planar(spec) and guarded(spec, settings).guarded == "always"
+def unsteady(pose_filter: PoseFilter) -> bool:
+    """Whether an object that is followed by touch alone is soon toppled, as it stands at first."""
+    if not isinstance(pose_filter, PoseTrajectoryFilter) or not isinstance(pose_filter.model, ToppledObject):
+        return False
+    model = pose_filter.model
+    return float(model.rests.edges.tip_rad[: model.ways].min()) < _UNSTEADY_RAD
 
 
 def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:

@@ -104,3 +104,14 @@ def test_a_run_carries_out_the_shortened_control(approach_m, part, all_in_reach,
         rumi.run(sim, agent, seed=0, on_step=records.append)
     last = records[-1]
     torch.testing.assert_close(last.control, part * last.plan.controls[0])
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("task", "careful"), [("drill", True), ("box", False), ("drawn-shelf-box", False), ("mug", False)]
+)
+def test_only_what_is_soon_toppled_is_approached_with_care(task, careful, all_in_reach):
+    with build(rumi.preset("fast", task=task, conditions="lab"), cache_dir=all_in_reach) as (_, agent):
+        assert (agent.approach_m > 0, agent.retreats) == (careful, careful)
+    with build(rumi.preset("fast", task=task, conditions="ideal"), cache_dir=all_in_reach) as (_, agent):
+        assert (agent.approach_m, agent.retreats) == (0.0, False)
