@@ -29,7 +29,7 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings
-from rumi.tasks.rummage.approach import cautious
+from rumi.tasks.rummage.approach import shortened
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
 from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
@@ -183,7 +183,8 @@ class Rummager:
         control = plan.controls[executed]
         if self.approach_m > 0:
             here, belief = state.record.reading.configuration, state.record.belief
-            control = cautious(control, self.tool, here, belief, self.model.sdf, self.approach_m)
+            with state.clock("plan"):
+                control = shortened(control, self.tool, here, belief, self.model.sdf, self.approach_m)
         return replace(state, plan=plan, executed=executed, retreated=False), control
 
     def update(self, state: RummageState, control: Float[Tensor, "A"], result: StepResult | Reading) -> RummageState:

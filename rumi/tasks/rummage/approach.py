@@ -20,7 +20,7 @@ _SHORT_M = 0.003  # of the touch, where an action stops that leads to it
 _ROOM_M = 0.010  # by which a touch may lie beyond a slow action's length and be gone on to at once
 
 
-def cautious(
+def shortened(
     control: Float[Tensor, "A"],
     tool: Tool,
     here: Float[Tensor, "Q"],

@@ -8,7 +8,7 @@ import torch
 import rumi
 from rumi.belief.particles import PoseBelief, normalise
 from rumi.robot.tool import Tool
-from rumi.tasks.rummage.approach import cautious
+from rumi.tasks.rummage.approach import shortened
 from rumi.tasks.rummage.build import build
 from sdf.primitives import Box
 from tests.test_tasks.rummage.test_trajectory_runs import settings
@@ -45,13 +45,13 @@ ALONG = torch.tensor([1.0, 0.0, 0.0, 0.0])
 def test_what_touches_nothing_is_as_planned():
     asked = ALONG.clone()
     for belief in (ahead(0.2), ahead(0.1), believed((0.0, 0.0, -5.0)), believed((1e6, 0.0, 0.0))):
-        assert torch.equal(cautious(asked, tool(), HERE, belief, BOX, SLOW_M), ALONG)
+        assert torch.equal(shortened(asked, tool(), HERE, belief, BOX, SLOW_M), ALONG)
     assert torch.equal(asked, ALONG)
 
 
 def test_it_stops_short_of_a_touch_that_is_far():
     for gap in (0.055, 0.07, 0.078):
-        control = cautious(ALONG, tool(), HERE, ahead(gap), BOX, SLOW_M)
+        control = shortened(ALONG, tool(), HERE, ahead(gap), BOX, SLOW_M)
         way = float(control[0]) * 0.08
         assert gap - 0.003 - 0.08 / 20 - 1e-6 <= way <= gap + 1e-6  # to a part of the action
         torch.testing.assert_close(control, ALONG * control[0])  # along the way that was planned
@@ -59,17 +59,17 @@ def test_it_stops_short_of_a_touch_that_is_far():
 
 def test_it_goes_on_slowly_into_a_touch_that_is_near():
     for gap, least, most in ((0.0, 0.04, 0.04), (0.02, 0.04, 0.046), (0.045, 0.06, 0.071)):
-        way = float(cautious(ALONG, tool(), HERE, ahead(gap), BOX, SLOW_M)[0]) * 0.08
+        way = float(shortened(ALONG, tool(), HERE, ahead(gap), BOX, SLOW_M)[0]) * 0.08
         assert least - 1e-6 <= way <= most + 1e-6
 
 
 def test_a_short_action_and_one_away_are_as_planned():
     short = 0.5 * ALONG
-    assert torch.equal(cautious(short, tool(), HERE, ahead(0.0), BOX, SLOW_M), short)
+    assert torch.equal(shortened(short, tool(), HERE, ahead(0.0), BOX, SLOW_M), short)
     turn = torch.tensor([0.0, 0.0, 0.0, 1.0])
-    assert torch.equal(cautious(turn, tool(), HERE, ahead(0.02), BOX, SLOW_M), turn)
+    assert torch.equal(shortened(turn, tool(), HERE, ahead(0.02), BOX, SLOW_M), turn)
     still = torch.zeros(4)
-    assert torch.equal(cautious(still, tool(), HERE, ahead(0.0), BOX, SLOW_M), still)
+    assert torch.equal(shortened(still, tool(), HERE, ahead(0.0), BOX, SLOW_M), still)
 
 
 @pytest.mark.parametrize(("share", "slow"), [(0.3, True), (0.0, False), (1e-6, False)])
@@ -77,11 +77,11 @@ def test_what_few_believe_is_not_waited_for(share, slow):
     there, elsewhere = ahead(0.02), (0.0, 0.0, -5.0)
     near = tuple(there.attached_T_object[0, :3, 3].tolist())
     belief = believed(near, elsewhere, weights=(share, 1.0 - share))
-    assert torch.equal(cautious(ALONG, tool(), HERE, belief, BOX, SLOW_M), ALONG) != slow
+    assert torch.equal(shortened(ALONG, tool(), HERE, belief, BOX, SLOW_M), ALONG) != slow
 
 
 def test_double_precision_keeps_its_type():
-    control = cautious(ALONG.double(), tool().double(), HERE.double(), ahead(0.02), BOX, SLOW_M)
+    control = shortened(ALONG.double(), tool().double(), HERE.double(), ahead(0.02), BOX, SLOW_M)
     assert control.dtype == torch.float64 and control[0] < 1.0
 
 
@@ -98,7 +98,7 @@ def test_a_run_in_space_does_so_where_nothing_measures_the_motion(all_in_reach):
 @pytest.mark.parametrize(("approach_m", "part"), [(0.04, 0.25), (0.0, 1.0)])
 def test_a_run_carries_out_the_shortened_control(approach_m, part, all_in_reach, monkeypatch):
     own = replace(settings(), task="drill-0", steps=1, approach_m=approach_m, retreats=False)
-    monkeypatch.setattr("rumi.tasks.rummage.agent.cautious", lambda control, *_: 0.25 * control)
+    monkeypatch.setattr("rumi.tasks.rummage.agent.shortened", lambda control, *_: 0.25 * control)
     records = []
     with build(own, cache_dir=all_in_reach) as (sim, agent):
         rumi.run(sim, agent, seed=0, on_step=records.append)
