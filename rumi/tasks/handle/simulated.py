@@ -219,8 +219,7 @@ class HandleTask(SensedTask):
         self, tool_pose: Float[Tensor, "K 4 4"], measured: Float[Tensor, "K 4 4"], silent: Bool[Tensor, "K"]
     ) -> tuple[Observation, Tensor]:
         """What the rigid gripper went through, with its skin where nothing was touched."""
-        attached_T_world = se3.inverse(measured @ self._attached)
-        self._attached = measured[-1] @ self._attached
+        attached_T_world = self._space.ridden(measured)
         spacing, region = self.settings.free_spacing_m, self._camera.region
         inner = swept_points(tool_pose, self._inner, spacing, attached_T_world=attached_T_world, region=region)[0]
         points, instants = [inner.points], [inner.instant]

@@ -176,7 +176,7 @@ class SensedTask(SimTask):
         tool_pose = self.tool.pose(configuration)
         parts, instants, in_contact = self._felt_by_bubbles(track, tool_pose)
         self.raw.moved(tool_pose)
-        swept, _ = self._swept(tool_pose, self._inner, measured, in_contact)
+        swept, _ = self._space.swept(tool_pose, self._inner, measured, in_contact, self._camera.region)
         parts.append(Observation.of(swept.points, Semantics.FREE))
         instants.append(swept.instant)
         return Reading(

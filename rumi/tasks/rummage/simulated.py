@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.belief.prior import lying
@@ -31,12 +31,13 @@ from rumi.task import StepResult
 from rumi.tasks.rummage.point_camera import PointCamera
 from rumi.tasks.rummage.robots import make_world, measurements
 from rumi.tasks.rummage.scene_spec import TaskSpec
+from rumi.tasks.rummage.swept_space import SweptSpace
 from rumi.tasks.rummage.true_contact import outside, touching
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
-from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
+from sensors.touch.tactile import InstantPoints, tactile_observation, touched_points
 from sensors.vision.robot_body import RobotBody
 
 
@@ -95,7 +96,7 @@ class SimTask:
         self._generator = torch.Generator()
         self._draw_errors(0)
         self._further_noise = split(0, "further sensors")
-        self._attached = se3.identity()
+        self._space = SweptSpace(spec.bounds, settings.free_spacing_m)
         self._steps: int | None = None
         self._views: list[Observation] = []
 
@@ -113,7 +114,8 @@ class SimTask:
             self.world = self._built(seed)
         self.world.seed(seed)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
-        self._attached, self._steps, self._views = se3.identity(), 0, []
+        self._space = SweptSpace(self.spec.bounds, self.settings.free_spacing_m)
+        self._steps, self._views = 0, []
         observation = self._looked_at()
         configuration = self._configuration()
         still = se3.identity((1,)) if self._measures else None
@@ -318,29 +320,12 @@ class SimTask:
         in_contact: Tensor,
     ) -> InstantPoints:
         """What is reported free of what the gripper went through."""
+        region = self._camera.region
         if self.settings.cleared_by == "margin":
-            return self._swept(tool_pose, self._inner, measured, in_contact)[0]
-        swept, index = self._swept(tool_pose, self._body, measured, in_contact)
+            return self._space.swept(tool_pose, self._inner, measured, in_contact, region)[0]
+        swept, index = self._space.swept(tool_pose, self._body, measured, in_contact, region)
         clear = outside(self._true, object_T_tool[swept.instant], self._body[index], self.settings.contact_m)
         return InstantPoints(swept.points[clear], swept.instant[clear])
-
-    def _swept(
-        self, tool_pose: Float[Tensor, "K 4 4"], body: Float[Tensor, "n 3"], measured: Tensor | None, in_contact: Tensor
-    ) -> tuple[InstantPoints, Int[Tensor, "M"]]:
-        """What the gripper's points went through, and which of them; takes note of a measured motion."""
-        attached_T_world, group = None, None
-        region = self._camera.region
-        if measured is None:
-            # nothing moves while nothing is touched; what was swept while touching belongs to its instant alone
-            group = in_contact.long().cumsum(0)
-            low, high = self.spec.bounds
-            top = float(region[1, 2])
-            region = torch.tensor(((*low, 0.0), (*high, top)))
-        else:
-            attached_T_world = se3.inverse(measured @ self._attached)
-            self._attached = measured[-1] @ self._attached
-        spacing = self.settings.free_spacing_m
-        return swept_points(tool_pose, body, spacing, attached_T_world=attached_T_world, group=group, region=region)
 
     def _touched(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K n"]:
         return touching(self._true, object_T_tool, self._pads, self.settings.contact_m)
