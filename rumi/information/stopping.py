@@ -247,6 +247,9 @@ class StopSettings(Checked, refusal=UsageError):
         most_nll: expected nll beyond which "probability" does not stop: poses that are all within the tolerance may lie
             too far apart for the object to count as found. None for what counts as found where the object is followed
             in space, else any.
+        points_in_turn: of the points by which the belief compares itself with itself each particle takes one in so
+            many, in turns, while the rule "probability" would not stop whatever came out: what is told then of a
+            belief of 400 particles is off by .7 % (deviation; drills), in a quarter of the time. 1 for all of them.
         least_chance: p-value of the readings at the best particle below which no pose explains them, and no rule but
             "apc" stops; 0 asks for none.
     """
@@ -259,6 +262,7 @@ class StopSettings(Checked, refusal=UsageError):
     apc_ratio: float = 0.03
     probability: ShareAbove0 = 0.95
     most_nll: Annotated[float, Ge(0.0)] | None = None
+    points_in_turn: Count = 8
     least_chance: Share = 0.01
 
 
@@ -326,3 +330,14 @@ STOP_RULES.add("never", lambda settings, now: False)
 def converged(settings: StopSettings, now: StopEvidence) -> bool:
     """Whether the rule of some settings holds."""
     return STOP_RULES[settings.rule](settings, now)
+
+
+def turns(settings: StopSettings, best: StopEvidence) -> int:
+    """By one of how many points each particle is compared: exactly where the stop may depend on it.
+
+    Args:
+        settings: of the rule.
+        best: the evidence, were the belief to agree with itself in everything.
+    """
+    exact = settings.rule != "probability" or converged(settings, best)
+    return 1 if exact else settings.points_in_turn

@@ -120,12 +120,12 @@ def _mix(mixture, weight, sharpness, distances):
 
 
 @exact
-def _log_likelihood(points, m, poses, j, log_weights, flat, lattice, sharpness, tolerance):
+def _log_likelihood(points, m, poses, truth, log_weights, flat, lattice, sharpness, tolerance):
     """The same of one point by logarithms, where no float holds the sum."""
     most = -math.inf
     logs = np.empty(len(poses))
     for i in range(len(poses)):
-        pose = _from_to(poses[i], poses[j])
+        pose = _from_to(poses[i], truth)
         x, y, z = _carried(points, len(points) // 3, m, pose)
         excess = np.float64(abs(value(x, y, z, flat, lattice)) - tolerance)
         logs[i] = log_weights[i] - sharpness * max(excess, 0.0)
@@ -136,7 +136,7 @@ def _log_likelihood(points, m, poses, j, log_weights, flat, lattice, sharpness, 
     return most + math.log(total)
 
 
-def _self_agreement(poses, log_weights, points, grid, sharpness, tolerance, nll, distance, part):
+def _self_agreement(poses, log_weights, truths, points, grid, sharpness, tolerance, nll, distance, part):
     flat, numbers, sizes = grid
     batch, each = nll.shape
     count = len(points) // 3
@@ -145,18 +145,19 @@ def _self_agreement(poses, log_weights, points, grid, sharpness, tolerance, nll,
         lattice = lattice_of(numbers, sizes)
         mixture, distances = np.zeros(count, flat.dtype), np.empty(count, flat.dtype)
         total = 0.0
-        for i in range(each):
-            pose = _from_to(poses[b, i], poses[b, j])
+        truth, believed = truths[b, j], poses.shape[1]
+        for i in range(believed):
+            pose = _from_to(poses[b, i], truth)
             weight = flat.dtype.type(math.exp(log_weights[b, i]))
             total += _pair(points, count, pose, flat, lattice, tolerance, distances)
             _mix(mixture, weight, sharpness, distances)
-        distance[b, j] = total / (each * max(count, 1))
+        distance[b, j] = total / (believed * max(count, 1))
         log = 0.0
         for m in range(count):
             if mixture[m] > 1e-20:
                 log += math.log(mixture[m])
             else:
-                log += _log_likelihood(points, m, poses[b], j, log_weights[b], flat, lattice, sharpness, tolerance)
+                log += _log_likelihood(points, m, poses[b], truth, log_weights[b], flat, lattice, sharpness, tolerance)
         nll[b, j] = -log
 
 

@@ -12,6 +12,7 @@ from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
 from sdf import backend, se3
 from sdf.grid_sdf import GridSDF
+from sdf.posed import posed_distance
 from sdf.primitives import Box
 from sdf.symmetry import Symmetries
 
@@ -62,6 +63,35 @@ def test_self_agreement_against_loops():
             apc += float(BOX.distance(se3.apply(se3.inverse(pose[i]), apc_points)).abs().mean()) / 36
     assert float(agreement.apc) == pytest.approx(apc, rel=1e-9)
     assert float(agreement.expected_nll) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("every", [2, 3, 4, 100])
+@pytest.mark.parametrize("version", ["torch", "numba"])
+def test_in_turns_each_particle_is_compared_by_its_own_points(every, version):
+    belief, table = random_belief(7), GridSDF.from_sdf(BOX, 0.002)
+    pose, weights = belief.attached_T_object, belief.weights
+    turns, apc, expected = min(every, 4), 0.0, 0.0
+    for j in range(7):
+        own = POINTS[j % turns :: turns]
+        nll = negative_log_likelihood(pose, belief.log_weights, pose[j], own, table)
+        expected += float(weights[j]) * 500 / len(own) * float(nll)
+        away = posed_distance(table, pose, se3.apply(pose[j], own))
+        apc += float(away.abs().mean()) / 7
+    with backend.force(version):
+        agreement = self_agreement(belief, POINTS, table, every=every)
+    assert float(agreement.expected_nll) == pytest.approx(expected, rel=1e-9)
+    assert float(agreement.apc) == pytest.approx(apc, rel=1e-9)
+
+
+def test_in_turns_it_is_nearly_what_it_is_by_all():
+    table = GridSDF.from_sdf(BOX, 0.002)
+    random = torch.Generator().manual_seed(3)
+    points = 0.03 * torch.randn(240, 3, generator=random, dtype=F64)
+    for seed in range(5):
+        belief = random_belief(200, seed=seed)
+        whole, part = (self_agreement(belief, points, table, every=every) for every in (1, 8))
+        assert float(part.expected_nll) == pytest.approx(float(whole.expected_nll), rel=0.05)
+        assert float(part.apc) == pytest.approx(float(whole.apc), rel=0.05)
 
 
 def test_a_unanimous_belief_expects_nothing_and_spreads_nothing():

@@ -11,7 +11,7 @@ from torch import Tensor
 from rumi.agent import StopReason
 from rumi.belief.particles import PoseBelief
 from rumi.clock import Clock
-from rumi.information.stopping import StopEvidence, converged
+from rumi.information.stopping import StopEvidence, converged, turns
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
 from rumi.planning.policy import Plan
@@ -48,8 +48,6 @@ def evaluate_step(
 ) -> StepRecord:
     """Measure the belief: what it expects of itself, and, apart from that, against the truth."""
     model, sensor = rummager.model, rummager.model.surface_points
-    with clock("agree"):
-        expected, apc = _agreement(rummager, history[-1] if history else None, belief)
     with clock("score"):
         nll = None
         if result.truth is not None:
@@ -62,7 +60,11 @@ def evaluate_step(
         model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
     )
     chance, ess = math.exp(rummager.filter.log_chance(belief)), float(belief.ess())
-    evidence = StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right, chance, ess)
+    best = StopEvidence(0.0, fit, 0.0, model.diagonal, contacts, p_right, chance, ess)
+    with clock("agree"):
+        every = turns(rummager.stop_rule, best)
+        expected, apc = _agreement(rummager, history[-1] if history else None, belief, every)
+    evidence = best._replace(expected_nll=expected, apc=apc)
     return StepRecord(
         step=len(history),
         control=control,
@@ -83,17 +85,21 @@ def evaluate_step(
     )
 
 
-def _agreement(rummager: Evaluated, last: StepRecord | None, belief: PoseBelief) -> tuple[float, float]:
-    """Expected nll and APC; those of the last step where the particles and their weights are still the same."""
+def _agreement(rummager: Evaluated, last: StepRecord | None, belief: PoseBelief, every: int) -> tuple[float, float]:
+    """Expected nll and APC, each particle's by one of so many points.
+
+    Those of the last step where the particles and their weights are still the same, and they are not to be more exact.
+    """
     if (
         last is not None
+        and (every > 1 or last.converged or rummager.stop_rule.rule != "probability")
         and torch.equal(last.belief.attached_T_object, belief.attached_T_object)
         and torch.equal(last.belief.log_weights, belief.log_weights)
     ):
         return last.expected_nll, last.apc
     points = rummager.model.surface_points
     stride = max(1, len(points) // rummager.agreement_points)
-    agreement = self_agreement(belief, points[::stride], rummager.model.sdf, nll_points=len(points))
+    agreement = self_agreement(belief, points[::stride], rummager.model.sdf, nll_points=len(points), every=every)
     return float(agreement.expected_nll), float(agreement.apc)
 
 

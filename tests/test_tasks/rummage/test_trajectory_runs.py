@@ -9,7 +9,7 @@ import torch
 import rumi
 from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
-from rumi.information.stopping import StopEvidence, StopSettings, converged, shortfalls
+from rumi.information.stopping import StopEvidence, StopSettings, converged, shortfalls, turns
 from rumi.tasks.rummage.build import build
 from sdf import se3
 from sdf.symmetry import Symmetries
@@ -106,3 +106,32 @@ def test_who_counts_few_particles_needs_more_of_them_to_stop():
 def test_an_expected_nll_that_no_belief_has_is_refused(most):
     with pytest.raises(UsageError, match="most_nll to be 0 or more"):
         StopSettings(most_nll=most)
+
+
+def test_the_belief_is_compared_by_all_points_where_the_stop_may_depend_on_it():
+    sure = StopEvidence(0.0, 1.0, 0.0, 0.1, contacts=1, p_right=0.99)
+    unsure = (sure._replace(p_right=0.5), sure._replace(contacts=0), sure._replace(chance=0.0))
+    for most in (None, 9.0):
+        rule = StopSettings(rule="probability", most_nll=most, points_in_turn=5)
+        assert turns(rule, sure) == 1 and [turns(rule, evidence) for evidence in unsure] == [5, 5, 5]
+    for other in ("auto", "self", "apc", "never"):
+        assert all(turns(StopSettings(rule=other), evidence) == 1 for evidence in (sure, *unsure))
+
+
+@pytest.mark.sim
+def test_a_run_is_the_same_by_points_in_turn(all_in_reach):
+    own = replace(settings(), task="drill-0", steps=4)
+    own = replace(own, simulator=replace(own.simulator, measures_motion=False))
+    few = replace(own.filter.trajectories, unseen_particles=200)
+    own = replace(own, filter=replace(own.filter, trajectories=few))
+    told = []
+    for every in (1, 8):
+        with build(replace(own, stop=replace(own.stop, points_in_turn=every)), cache_dir=all_in_reach) as (sim, agent):
+            records = []
+            rumi.run(sim, agent, seed=0, on_step=records.append)
+            told.append(records)
+    for whole, part in zip(*told, strict=True):
+        assert whole.converged == part.converged
+        assert torch.equal(whole.belief.world_T_object, part.belief.world_T_object)
+        assert part.expected_nll == pytest.approx(whole.expected_nll, rel=0.1)
+    assert any(whole.expected_nll != part.expected_nll for whole, part in zip(*told, strict=True))
