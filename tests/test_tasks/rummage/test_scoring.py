@@ -7,6 +7,7 @@ import torch
 
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.fields.workspace import Workspace
+from rumi.information.stopping import StopSettings
 from rumi.metrics.likelihood import self_agreement
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.robot.tool import Tool
@@ -40,17 +41,23 @@ def test_agreement_is_worked_out_where_the_belief_changed_and_only_there(rummage
     monkeypatch.setattr(evaluation, "self_agreement", counted)
     steps = make_up().steps
     record = steps[2]
-    expected, apc = evaluation._agreement(rummager, None, record.belief)
+    expected, apc = evaluation._agreement(rummager, None, record.belief, 1)
     fresh = self_agreement(record.belief, rummager.model.surface_points[::2], rummager.model.sdf, nll_points=100)
     assert (expected, apc) == (float(fresh.expected_nll), float(fresh.apc))
     assert len(asked) == 1
     last = replace(record, expected_nll=expected, apc=apc)
     # the same particles and weights, carried along by a motion
     carried = record.belief.moved(steps[-1].belief.world_T_attached)
-    assert evaluation._agreement(rummager, last, carried) == (expected, apc)
+    assert evaluation._agreement(rummager, last, carried, 1) == (expected, apc)
     assert len(asked) == 1
     other = record.belief.reweighted(record.belief.log_weights * 2)
-    assert evaluation._agreement(rummager, last, other) != (expected, apc)
+    assert evaluation._agreement(rummager, last, other, 1) != (expected, apc)
     moved = replace(record.belief, attached_T_object=record.belief.attached_T_object.roll(1, 0))
-    evaluation._agreement(rummager, last, moved)
+    evaluation._agreement(rummager, last, moved, 1)
     assert len(asked) == 3
+    # by "probability" what was told by points in turn is worked out anew, once the stop depends on it
+    by_probability = replace(rummager, stop_rule=StopSettings(rule="probability"))
+    for converged, every, more in ((False, 8, 0), (True, 1, 0), (False, 1, 1)):
+        known = len(asked)
+        evaluation._agreement(by_probability, replace(last, converged=converged), carried, every)
+        assert len(asked) == known + more
