@@ -2,13 +2,13 @@
 
 import math
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from sdf.so3 import wrap
 
 _LEAST_RAD = math.radians(1.0)  # tilt from which on an object leans
 _SHARE = 0.5  # of the belief that leans, from which on the tool goes back
@@ -32,7 +32,7 @@ def way_back(
         scale: what a control of 1 asks for.
     """
     way = before - here
-    way[-1] = torch.remainder(way[-1] + math.pi, 2.0 * math.pi) - math.pi
+    way[-1] = wrap(way[-1])
     length = float(way[:-1].norm())
     if length < _LEAST_M:
         return None
