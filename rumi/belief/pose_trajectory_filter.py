@@ -154,7 +154,7 @@ class PoseTrajectoryFilter(PoseFilter):
     @torch.no_grad()
     def advanced(
         self, now: Trajectories, log_weights: Float[Tensor, "N"], reading: Reading, random: torch.Generator
-    ) -> "Advanced":
+    ) -> Advanced:
         """Particles after an action, and how they came there."""
         own, resampled = self.own, False
         path = path_of(reading, self.model)
@@ -180,9 +180,7 @@ class PoseTrajectoryFilter(PoseFilter):
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
         """Whether the tool may have moved the object: where the pads felt it, or else met it beside the pads."""
-        if bool(reading.in_contact.any()):
-            return True
-        if self._leans(now, log_weights):
+        if bool(reading.in_contact.any()) or self._leans(now, log_weights):
             return True
         path = path[~self.model.lifted(reading.tool_pose)]
         if not len(path):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.weights import effective_sample_size, resampled_weights
@@ -26,6 +26,13 @@ class TouchAction(NamedTuple):
     path: Float[Tensor, "*b K1 3"]
     contact: Bool[Tensor, "*b K"]
     blocked: bool | None = None
+
+    def at(self, runs: Int[Tensor, "n"]) -> "TouchAction":
+        """Those of some runs, or what all runs share."""
+        own = self.path.ndim == 3 and len(self.path) > 1
+        felt = self.contact.ndim == 2 and len(self.contact) > 1
+        path, contact = self.path[runs] if own else self.path, self.contact[runs] if felt else self.contact
+        return self._replace(path=path, contact=contact)
 
 
 @container()

@@ -152,8 +152,8 @@ class TrajectoryFilter:
         action = history[-1]
         noise: Tensor | None = None
         if self.settings.noise > 0:
-            like = belief.start
-            noise = normal(like.shape, generator=generator, dtype=like.dtype, device=like.device)
+            pose = belief.pose
+            noise = normal(pose.shape, generator=generator, dtype=pose.dtype, device=pose.device)
         pose, gained = self.roll(belief.pose, belief.friction, belief.lever, noise, action)
         log_weights = (belief.log_weights + gained).log_softmax(-1)
         belief = replace(
@@ -168,7 +168,7 @@ class TrajectoryFilter:
             low = ess < self.settings.trigger * pose.shape[1]
         rows, accepted = low.nonzero()[:, 0], float("nan")
         if len(rows):
-            some = [a._replace(path=_rows(a.path, rows, 3), contact=_rows(a.contact, rows, 2)) for a in history]
+            some = [each.at(rows) for each in history]
             fresh, accepted = self.resample(belief.at(rows), some, generator=generator)
             belief = belief.put(rows, fresh)
         return belief, StepInfo(ess, low, accepted)
@@ -179,9 +179,9 @@ class TrajectoryFilter:
         """Resample all runs, by the rule of the settings; and the share of accepted moves."""
         if self.settings.resampling == "newcomers" and history[-1].contact.shape[-1] > 0:
             touched = history[-1].contact[..., -1].expand(len(belief.start))
-            with_newcomers = self._newcomers(belief, history[-1], generator)
+            rows, with_newcomers = touched.nonzero()[:, 0], self._newcomers(belief, history[-1], generator)
             belief = belief.resampled(resample_systematic(belief.log_weights, generator=generator))
-            return belief.put(touched.nonzero()[:, 0], with_newcomers.at(touched.nonzero()[:, 0])), float("nan")
+            return belief.put(rows, with_newcomers.at(rows)), float("nan")
         belief = belief.resampled(resample_systematic(belief.log_weights, generator=generator))
         if self.settings.resampling != "replay" or self.settings.sweeps == 0:
             return belief, float("nan")
@@ -344,8 +344,3 @@ class TrajectoryFilter:
             pose=belief.pose.scatter(1, wide, fresh),
             log_weights=kept.scatter(1, least, fit + mass.log()).log_softmax(-1),
         )
-
-
-def _rows(part: Tensor, rows: Tensor, dims: int) -> Tensor:
-    """Those of some runs, or what all runs share."""
-    return part[rows] if part.ndim == dims and len(part) > 1 else part

@@ -17,13 +17,7 @@ from rumi.clock import Now, Stopwatch
 from rumi.dynamics.base import PushDefaults, RolloutModel
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import WorkspaceFields, information_field
-from rumi.planning.objective import (
-    Objective,
-    TrajectoryCost,
-    gathering,
-    sensing_points,
-    without,
-)
+from rumi.planning.objective import Objective, TrajectoryCost, gathering, sensing_points, without
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.planning_model import PlanningModel
 from rumi.planning.policy import Plan, PlanRequest, Scene
