@@ -20,8 +20,8 @@ from rumi.cli import script
 from rumi.errors import UsageError
 from rumi.registration.descent import DescentSettings, descend
 from rumi.seeding import split
-from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.first_belief import first_belief
 from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sensors.discrepancy import Discrepancy

@@ -24,8 +24,8 @@ from rumi.fields.workspace import Workspace
 from rumi.metrics.likelihood import negative_log_likelihood
 from rumi.robot.tool import Tool
 from rumi.seeding import split
-from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build, reachability
+from rumi.tasks.rummage.first_belief import first_belief
 from rumi.tasks.rummage.scenes import SCENES, find_task
 from rumi.tasks.rummage.settings import preset
 from sdf import se3, so3

@@ -33,8 +33,9 @@ from rumi.metrics.pose_error import pose_error
 from rumi.records import StepRecord
 from rumi.seeding import split
 from rumi.task import StepResult
-from rumi.tasks.rummage.agent import Rummager, first_belief
+from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.first_belief import first_belief
 from scripts.reproduce.seeds import seeds_of
 from scripts.store import Figures, Store
 from scripts.trajectory_runs import Options as RunOptions

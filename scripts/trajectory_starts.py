@@ -39,8 +39,8 @@ from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator, split
 from rumi.sim.world import Track
 from rumi.task import StepResult
-from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.first_belief import first_belief
 from scripts.reproduce.seeds import seeds_of
 from scripts.store import Figures, Store
 from scripts.trajectory_runs import DEFAULTS, settings_of

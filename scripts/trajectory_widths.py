@@ -25,8 +25,8 @@ from rumi.belief.trajectory_moves import Moves
 from rumi.cli import script
 from rumi.resampling import systematic
 from rumi.seeding import split
-from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.first_belief import first_belief
 from scripts.experiment import Experiment
 from scripts.reproduce.cells import table
 from scripts.store import Figures, Line

@@ -13,8 +13,8 @@ from rumi.bench.scenes import FieldScene, box_scene, mug_scene
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.seeding import split
-from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build, reachability
+from rumi.tasks.rummage.first_belief import first_belief
 from rumi.tasks.rummage.settings import preset
 
 _SEED = 0

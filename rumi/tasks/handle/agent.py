@@ -28,9 +28,10 @@ from rumi.tasks.grasp_primitive import GRASP_S
 from rumi.tasks.grasp_table import Grasp, GraspTable
 from rumi.tasks.handle.grasp import best_grasp
 from rumi.tasks.handle.settings import HandleSettings, task_of
-from rumi.tasks.rummage.agent import Rummager, RummageState, first_belief
+from rumi.tasks.rummage.agent import Rummager, RummageState
 from rumi.tasks.rummage.build import build_rummager
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
+from rumi.tasks.rummage.first_belief import first_belief
 from rumi.tasks.rummage.scenes import make_tool
 from rumi.tasks.rummage.settings import preset
 from rumi.weights import boltzmann

@@ -11,11 +11,10 @@ from torch import Tensor
 
 from rumi.agent import StopReason
 from rumi.belief.frictions import frictions_of
-from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
+from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.misfit import MisfitSettings
-from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
-from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
+from rumi.belief.reinitialise import ReinitialiseSettings, redraw, verify
 from rumi.belief.remarks import Remark, remarks
 from rumi.clock import Clock
 from rumi.dynamics.outline import Base, base_of
@@ -32,18 +31,19 @@ from rumi.tasks.rummage.answer import relies_on, warnings
 from rumi.tasks.rummage.approach import shortened
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
 from rumi.tasks.rummage.fault_state import Watch
+from rumi.tasks.rummage.first_belief import first_belief
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
 from rumi.tasks.rummage.lost import SLIDES, sensed_now, told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
-from rumi.tasks.rummage.retreat import leans, way_back
+from rumi.tasks.rummage.retreat import holds, leans, way_back
 from sdf.object_model import ObjectModel
-from sensors.observation import Observation, merge
+from sensors.observation import Observation
 from sensors.reading import Reading
-from sensors.semantics import Semantics
 
 _PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
 _STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "faults", "pushes")  # of random, by use
 _TOLD = ("measured", "corrected", "estimated")  # motions that tell of the push, not of the push model
+_HOLDS = "the tool touches the object, which may lean on it"
 _PARTS = 8  # of an action, in which its free path is worked out again
 
 
@@ -103,7 +103,7 @@ class Rummager:
         sensors: what the robot senses by, for people.
         conditions: what a simulated robot lacks, for people; empty for another.
         approach_m: length of an action that may touch the object; 0 for as long as planned.
-        retreats: whether the tool goes back from an object that leans on it.
+        retreats: whether the tool goes back from an object that leans on it, and lets go of one before it is sure.
         remarks: whether steps are remarked on.
         pushes: prior over push parameters, which plans draw and measured motions teach; None where they are fixed.
         about: what a run's folder tells of the settings.
@@ -148,9 +148,10 @@ class Rummager:
     def stop(self, state: RummageState) -> StopReason | None:
         """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be.
 
+        An object that may lean on the tool is let go of first: what leans is elsewhere once it stands.
         Where the object may have tipped, and nothing but touches tell, there is nothing to do about it.
         """
-        if state.record.converged and state.watch.doubt() is None:
+        if state.record.converged and state.watch.doubt() is None and not self._lets_go(state):
             return "sure"
         if state.record.converged and state.watch.unseated == "tips":
             return "nothing to do"
@@ -160,12 +161,12 @@ class Rummager:
         """Follow the plan, or one made anew: a contact is not where the plan had it.
 
         With a budget a plan is made first that nobody follows, since the first one of a process loads compiled code.
-        What leans on the tool is let back first, once, without a plan.
+        What leans on the tool is let back first, once, without a plan; and what may, before the run ends.
         """
         plan, executed = state.plan, state.executed
-        if self.retreats and state.record.step > 0 and not state.retreated and leans(self.filter, state.record.belief):
-            before, here = (step.reading.configuration for step in state.history[-2:])
-            back = way_back(before, here, self.tool.scale)
+        leant_on = self.retreats and not state.retreated and leans(self.filter, state.record.belief)
+        if leant_on or self._lets_go(state):
+            back = self._way_back(state)
             if back is not None:
                 return replace(state, plan=None, executed=0, retreated=True), back
         if plan is None or state.surprised or executed >= min(self.replan_every, len(plan.controls)):
@@ -254,6 +255,14 @@ class Rummager:
             pushes=pushes,
         )
 
+    def _lets_go(self, state: RummageState) -> bool:
+        """Whether the belief is sure of an object that may lean on the tool, and there is a way to let go of it."""
+        touches = self.retreats and state.record.converged and holds(state.record.reading)
+        return touches and self._way_back(state) is not None
+
+    def _way_back(self, state: RummageState) -> Float[Tensor, "A"] | None:
+        return way_back([step.reading for step in state.history], self.tool.scale)
+
     def _odd(
         self, state: RummageState, control: Float[Tensor, "A"], record: StepRecord, said: set[str]
     ) -> tuple[Remark, ...]:
@@ -296,7 +305,7 @@ class Rummager:
 
     def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> RunResult:
         """How the run ended."""
-        doubt = state.watch.doubt()
+        doubt = state.watch.doubt() or (_HOLDS if self._lets_go(state) else None)
         ended = summarise(self, state.history, stopped_by, doubt)
         return replace(ended, lost=state.watch.lost, explanations=dict(state.watch.explanations))
 
@@ -322,29 +331,3 @@ class Rummager:
             reading=reading,
             pushes=state.pushes,
         )
-
-
-def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Generator) -> tuple[PoseBelief, Observation]:
-    """The belief and the memory after the first view, or without one from the prior (Alg 1, lines 1-3)."""
-    points = reading.observation.points
-    none = Observation.empty(dtype=points.dtype, device=points.device)
-    memory, _ = merge(none, reading.observation, rummager.filter.lattice)
-    if rummager.filter.prior is not None:
-        belief = prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator)
-        return rummager.filter.begin(belief, memory, generator=generator), memory
-    surface = memory.points[memory.of_class(Semantics.SURFACE)]
-    if len(surface) == 0:
-        raise ValueError("Expected a first view with surface points of the object, got none: check the object's mask")
-    settings = rummager.initialise
-    reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
-    starts = view_starts(surface, settings.starts, reach_m, rummager.height_m, generator=generator)
-    belief = initialise(
-        rummager.filter.discrepancy,
-        memory,
-        starts,
-        rummager.filter.search,
-        rummager.filter.settings.peakiness,
-        settings,
-        generator=generator,
-    )
-    return rummager.filter.begin(belief, memory, generator=generator), memory

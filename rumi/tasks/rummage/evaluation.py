@@ -18,6 +18,7 @@ from rumi.planning.policy import Plan
 from rumi.records import RunResult, StepRecord
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import Answerer, relies_on, warnings, why_not
+from rumi.tasks.rummage.retreat import holds
 from sensors.observation import Observation
 
 
@@ -33,6 +34,8 @@ class Evaluated(Answerer, Protocol):
     def rotation_tolerance_rad(self) -> float: ...  # noqa: D102
     @property
     def agreement_points(self) -> int: ...  # noqa: D102
+    @property
+    def retreats(self) -> bool: ...  # noqa: D102
 
 
 def evaluate_step(
@@ -60,7 +63,8 @@ def evaluate_step(
         model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
     )
     chance, ess = math.exp(rummager.filter.log_chance(belief)), float(belief.ess())
-    best = StopEvidence(0.0, fit, 0.0, model.diagonal, contacts, p_right, chance, ess)
+    let_go = rummager.retreats and bool(history) and history[-1].converged and holds(history[-1].reading)
+    best = StopEvidence(0.0, fit, 0.0, model.diagonal, contacts, p_right, chance, ess, let_go)
     with clock("agree"):
         every = turns(rummager.stop_rule, best)
         expected, apc = _agreement(rummager, history[-1] if history else None, belief, every)

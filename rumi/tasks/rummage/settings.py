@@ -53,8 +53,9 @@ class Settings:
         approach_m: length of an action that may touch the object, which is slow then, for an action lasts as long
             whatever its length; 0 for as long as planned. None for 40 mm where actions are guarded and the object is
             soon toppled, else 0.
-        retreats: whether the tool goes back the way it came, an action, from an object that most of the belief has
-            leaning on it, so that it stands again and does not fall. None for where approach_m is not 0 by itself.
+        retreats: whether the tool goes back, an action, to where it last touched nothing: from an object that most of
+            the belief has leaning on it, so that it stands again and does not fall, and from one that it touches before
+            the run ends as sure. None for where approach_m is not 0 by itself.
         plan_budget_s: seconds that each plan may take, for which it makes do with less; runs are not the same then from
             one time to the next. None for as long as it needs.
         tool_height_m: of a level tool's middle above the table; None for the task's, or lower where the object is.

@@ -8,21 +8,42 @@ import torch
 
 import rumi
 from rumi.belief.island_filter import IslandFilter
+from rumi.clock import Clock
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.retreat import way_back
+from tests.fixtures.readings import make_reading
 from tests.test_tasks.rummage.test_trajectory_runs import settings
+
+SCALE = torch.tensor([0.08, 0.08, 0.08, 0.5])
+HERE = torch.tensor([0.41, 0.02, 0.1, -3.1])
+
+
+def came(*steps):
+    """Readings of (configuration, whether each instant felt anything)."""
+    return [
+        make_reading(
+            tool=torch.eye(4).repeat(len(felt), 1, 1), contact=torch.tensor(felt).bool(), configuration=configuration
+        )
+        for configuration, felt in steps
+    ]
 
 
 def test_the_way_back_is_that_of_the_last_action_and_short():
-    scale = torch.tensor([0.08, 0.08, 0.08, 0.5])
-    here = torch.tensor([0.41, 0.02, 0.1, -3.1])
-    short = way_back(torch.tensor([0.4, 0.0, 0.1, 3.1]), here, scale)
+    short = way_back(came((torch.tensor([0.4, 0.0, 0.1, 3.1]), [0]), (HERE, [0, 1])), SCALE)
     turned = 2.0 * math.pi - 6.2  # the nearer way round
     torch.testing.assert_close(short, torch.tensor([-0.125, -0.25, 0.0, -turned / 0.5]), atol=1e-5, rtol=0)
-    long = way_back(here + torch.tensor([0.0, 0.0, 0.1, 0.3]), here, scale)
+    long = way_back(came((HERE + torch.tensor([0.0, 0.0, 0.1, 0.3]), [1, 0]), (HERE, [1])), SCALE)
     torch.testing.assert_close(long, torch.tensor([0.0, 0.0, 0.5, 0.24]), atol=1e-5, rtol=0)
-    assert way_back(here, here, scale) is None
-    assert way_back(here + torch.tensor([0.0, 0.0, 0.0, 0.2]), here, scale) is None
+    assert way_back(came((HERE, [0]), (HERE, [1])), SCALE) is None
+    assert way_back(came((HERE + torch.tensor([0.0, 0.0, 0.0, 0.2]), [0]), (HERE, [1])), SCALE) is None
+
+
+def test_the_way_back_is_to_where_nothing_was_felt():
+    far, near = HERE + torch.tensor([0.03, 0.0, 0.0, 0.0]), HERE + torch.tensor([0.01, 0.0, 0.0, 0.0])
+    back = way_back(came((HERE + 1.0, [0]), (far, [1, 1, 0]), (near, [0, 1]), (HERE, [1])), SCALE)
+    torch.testing.assert_close(back, torch.tensor([0.03 / 0.08, 0.0, 0.0, 0.0]), atol=1e-5, rtol=0)
+    assert way_back(came((near, [1]), (HERE, [1])), SCALE) is None
+    assert way_back(came((HERE, [0])), SCALE) is None
 
 
 @pytest.mark.sim
@@ -47,3 +68,31 @@ def test_a_run_in_space_goes_back_once_where_it_leans(asked, all_in_reach, monke
 def test_a_mug_never_retreats(all_in_reach):
     with build(rumi.preset("fast", task="mug", conditions="lab"), cache_dir=all_in_reach) as (_, agent):
         assert not agent.retreats
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("retreats", "felt", "lets_go"), [(True, True, True), (True, False, False), (False, True, False)]
+)
+def test_a_run_lets_go_before_it_is_sure(retreats, felt, lets_go, all_in_reach):
+    own = replace(settings(), task="drill-0", steps=3, retreats=retreats)
+    own = replace(own, simulator=replace(own.simulator, measures_motion=False))
+    few = replace(own.filter.trajectories, unseen_particles=20)
+    with build(replace(own, filter=replace(own.filter, trajectories=few)), cache_dir=all_in_reach) as (sim, agent):
+        state = agent.begin(sim.reset(0), seed=0, clock=Clock())
+        assert agent.stop(state) is None
+        state, control = agent.act(state)
+        found = sim.step(control).reading
+        felt_at_the_end = torch.zeros_like(found.in_contact)
+        felt_at_the_end[-1] = felt
+        record = replace(state.record, step=1, reading=replace(found, in_contact=felt_at_the_end), converged=True)
+        state = replace(state, record=record, history=(*state.history, record))
+        assert agent.stop(state) == (None if lets_go else "sure")
+        if lets_go:
+            after, back = agent.act(state)
+            assert after.plan is None and after.retreated
+            assert float((back * control)[:3].sum()) < 0.0
+            begun = state.history[0].reading.configuration
+            there = replace(record, step=2, reading=replace(record.reading, configuration=begun))
+            state = replace(after, record=there, history=(*state.history, there))
+            assert agent.stop(state) == "sure"  # felt where it never touched: there is nowhere to go back to

@@ -102,6 +102,20 @@ def test_who_counts_few_particles_needs_more_of_them_to_stop():
             assert short.value == pytest.approx(share - 2.0 * math.sqrt(share * (1.0 - share) / draws))
 
 
+def test_once_it_has_let_go_it_may_be_less_sure():
+    rule, state = StopSettings(rule="probability"), {"expected_nll": 9.0, "fit": 9.0, "apc": 1.0, "diagonal": 0.1}
+    for p, let_go, sure in ((0.91, True, True), (0.89, True, False), (0.91, False, False), (0.96, False, True)):
+        evidence = StopEvidence(**state, contacts=1, p_right=p, let_go=let_go)
+        assert converged(rule, evidence) is sure is not bool(shortfalls(rule, evidence))
+    before = StopEvidence(**state, contacts=1, p_right=0.91, let_go=True)
+    assert not converged(StopSettings(rule="probability", leeway=1.0), before)
+    (short,) = shortfalls(StopSettings(rule="probability", leeway=1.0), before)
+    assert (short.part, short.allowed) == ("spread", 0.95)
+    assert converged(StopSettings(rule="probability", probability=0.1, leeway=5.0), before)
+    with pytest.raises(UsageError, match="leeway to be 1 or more"):
+        StopSettings(leeway=0.5)
+
+
 @pytest.mark.parametrize("most", [-3.0, math.nan])
 def test_an_expected_nll_that_no_belief_has_is_refused(most):
     with pytest.raises(UsageError, match="most_nll to be 0 or more"):

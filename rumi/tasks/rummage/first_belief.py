@@ -1,0 +1,56 @@
+"""First belief: of a first view the poses that fit it, without one the prior (RUMI, Alg 1, lines 1-3)."""
+
+from typing import Protocol, runtime_checkable
+
+import torch
+
+from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
+from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.reinitialise import prior_belief
+from sdf.object_model import ObjectModel
+from sensors.observation import Observation, merge
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+
+@runtime_checkable
+class Beginning(Protocol):
+    """The parts of a `Rummager` by which it begins."""
+
+    @property
+    def model(self) -> ObjectModel: ...  # noqa: D102
+    @property
+    def filter(self) -> PoseFilter: ...  # noqa: D102
+    @property
+    def initialise(self) -> InitialiseSettings: ...  # noqa: D102
+    @property
+    def height_m(self) -> float: ...  # noqa: D102
+
+
+def first_belief(
+    rummager: Beginning, reading: Reading, *, generator: torch.Generator
+) -> tuple[PoseBelief, Observation]:
+    """The belief and the memory after the first view, or without one from the prior (Alg 1, lines 1-3)."""
+    points = reading.observation.points
+    none = Observation.empty(dtype=points.dtype, device=points.device)
+    memory, _ = merge(none, reading.observation, rummager.filter.lattice)
+    if rummager.filter.prior is not None:
+        belief = prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator)
+        return rummager.filter.begin(belief, memory, generator=generator), memory
+    surface = memory.points[memory.of_class(Semantics.SURFACE)]
+    if len(surface) == 0:
+        raise ValueError("Expected a first view with surface points of the object, got none: check the object's mask")
+    settings = rummager.initialise
+    reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
+    starts = view_starts(surface, settings.starts, reach_m, rummager.height_m, generator=generator)
+    belief = initialise(
+        rummager.filter.discrepancy,
+        memory,
+        starts,
+        rummager.filter.search,
+        rummager.filter.settings.peakiness,
+        settings,
+        generator=generator,
+    )
+    return rummager.filter.begin(belief, memory, generator=generator), memory
