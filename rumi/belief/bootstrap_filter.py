@@ -168,7 +168,8 @@ class BootstrapFilter(PoseTrajectoryFilter):
             )
             told, spans = told + gained, [*spans, len(instants)]
             now, log_weights = self._thinned(now, log_weights, random)
-        if not unfelt and told < least_fit(int(reading.in_contact.sum())):
+        sensed = 0 if reading.object_motion is None else len(spans)
+        if not unfelt and told < least_fit(int(reading.in_contact.sum())) - 6.0 * sensed:
             return self._jumped(*before, reading, path, random), []
         return now.at(resample_systematic(log_weights, generator=random)), spans
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
+from rumi.belief.sensed_motion import log_likelihood_of_motions
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.seeding import normal
@@ -201,6 +202,10 @@ class Trajectories:
         poses, log_likelihood = version(model, settings, history, self, first, least)
         if bool(history.force[:, 2].any()):
             told = model.told_by_force(settings, self.physics, poses, history)
+            log_likelihood = log_likelihood + torch.where(torch.arange(len(history)) >= first[:, None], told, 0.0)
+        if history.motion is not None and history.moved is not None:
+            there = model.world_T_object(poses)
+            told = log_likelihood_of_motions(there, history.motion, history.moved, settings)
             log_likelihood = log_likelihood + torch.where(torch.arange(len(history)) >= first[:, None], told, 0.0)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
 

@@ -22,6 +22,7 @@ from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajector
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import above, cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.sensed_motion import moved_m
 from rumi.belief.tempering import check_finite, in_full, log_mean, power_of, raised
 from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import Segment
@@ -120,8 +121,8 @@ class PoseTrajectoryFilter(PoseFilter):
         else:
             fitted = se3.to_planar(belief.world_T_object.double())
             drawn = of_view(standing(memory, fitted, self.model, own), fitted, self.model, own, random)
-        flat = torch.zeros(own.particles, dtype=torch.float64)
-        return self.belief_of(drawn, normalise(flat), belief.world_T_attached, belief.log_weights)
+        even = normalise(torch.zeros(own.particles, dtype=torch.float64))
+        return self.belief_of(drawn, even, belief.world_T_attached, belief.log_weights)
 
     @torch.no_grad()
     def forward(
@@ -179,16 +180,17 @@ class PoseTrajectoryFilter(PoseFilter):
         return log_chance(belief.trajectories, belief.log_weights, self.own)
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
-        """Whether the tool may have moved the object: where the pads felt it, or else met it beside the pads."""
-        if bool(reading.in_contact.any()) or self._leans(now, log_weights):
+        """Whether the tool may have moved the object: that is sensed, the pads felt it, or it met it beside them."""
+        sensed = moved_m(reading, self.model.world_T_object(now.pose[:1])) > _MOVED_M
+        if sensed or bool(reading.in_contact.any()) or self._leans(now, log_weights):
             return True
         path = path[~self.model.lifted(reading.tool_pose)]
         if not len(path):
             return False
-        looked = systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))
-        if float(torch.cdist(path[:, 1, :2], now.pose[looked, :2]).min()) >= self.model.reach_m:
+        some = now.pose[systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))]
+        if float(torch.cdist(path[:, 1, :2], some[:, :2]).min()) >= self.model.reach_m:
             return False
-        moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
+        moved = (self.model.tracks(self.own, some, path)[:, -1] - some)[:, :2].norm(dim=-1) > _MOVED_M
         return float(moved.double().mean()) >= _MOVED
 
     def leaning(self, belief: PoseBelief, least_rad: float) -> float:
@@ -301,8 +303,7 @@ class PoseTrajectoryFilter(PoseFilter):
         count, history = len(now), now.history.appended(segment)
         noise = normal((count, 1, NOISE), generator=random, dtype=torch.float64)
         now = now.lengthened(noise, history)
-        last = torch.full((count,), len(history) - 1)
-        now = now.replayed(self.model, self.own, history, last)
+        now = now.replayed(self.model, self.own, history, torch.full((count,), len(history) - 1))
         gained = now.log_likelihood[:, -1]
         check_finite(gained)
         heavier = log_weights + gained
@@ -345,6 +346,5 @@ class PoseTrajectoryFilter(PoseFilter):
         frame = world_T_attached.to(like)
         poses = self.model.world_T_object(now.pose.to(like))
         poses[..., 2, 3] += self.model.resting_m
-        attached = se3.inverse(frame) @ poses
-        flat = torch.zeros_like(log_weights).to(like)
-        return PoseTrajectoryBelief(frame, attached, normalise(log_weights.to(like)), flat, None, now)
+        attached, weights = se3.inverse(frame) @ poses, normalise(log_weights.to(like))
+        return PoseTrajectoryBelief(frame, attached, weights, torch.zeros_like(weights), None, now)

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.belief.pushed_model import Pushed
+from rumi.belief.sensed_motion import motion_of
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf import se3
@@ -173,7 +174,8 @@ def pushed(
     points, instant, kinds, weights = (torch.cat(part) for part in zip(pads, touched, strict=True))
     order = (2 * instant + (kinds == Kind.PAD_SILENT)).argsort(stable=True)  # what is silent comes last
     force = _mean_force(reading, instants, path, own)
-    return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order], force)
+    motion = motion_of(reading, instants)
+    return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order], force, motion)
 
 
 def _touches(

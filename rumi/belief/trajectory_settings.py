@@ -86,6 +86,8 @@ class PoseTrajectorySettings:
         force_n: deviation of a segment's mean force, N, each way.
         force_per_m: independent readings of its direction that a metre of the tool's way in contact is worth; 0 leaves
             measured forces out.
+        moved_m, moved_rad: deviations of place and turn of a segment's motion, where something senses it, beside what
+            that is stated to err by: draws of how an object leans and falls come no nearer.
         outliers: share of readings that mean nothing.
         missed: share of a pad's instants in which all of it feels nothing, whatever is there.
         dead: share of the pads' points that never feel.
@@ -148,6 +150,8 @@ class PoseTrajectorySettings:
     force_rad: float = 0.15
     force_n: float = 0.2
     force_per_m: float = 20.0
+    moved_m: float = 0.003
+    moved_rad: float = 0.04
     outliers: float = 0.02
     missed: float = 0.0
     dead: float = 0.0

@@ -116,6 +116,35 @@ def test_the_filter_follows_a_push_that_nothing_measures(model, dtype):
     assert type(few) is PoseBelief and few.world_T_object.shape == (10, 4, 4)
 
 
+def test_a_sensed_motion_tells_what_is_not_felt(model):
+    """The block slips along the face that the pads feel."""
+    true = torch.zeros(8, 3, **DOUBLE)
+    true[4:, 0] = torch.linspace(0.002, 0.012, 4)
+    true[4:, 1] = torch.linspace(0.001, 0.006, 4)
+    unsensed = felt_by(true, PUSH, model)
+    motion = se3.from_planar(true, 0.03) @ se3.inverse(se3.from_planar(torch.zeros(1, 3, **DOUBLE), 0.03))
+    slips, off = [], []
+    for reading in (unsensed, replace(unsensed, object_motion=motion.float())):
+        followed = follow(model, across=0.6, moved_m=0.0005, moved_rad=0.005)
+        start, memory = begin(followed)
+        belief, _, _ = followed(start, memory, reading, generator=generator(2))
+        slip = (belief.trajectories.pose - belief.trajectories.poses[:, 0])[:, 1]
+        slips.append(float(slip.mean()))
+        off.append(float((slip - 0.006).square().mean().sqrt()))
+    assert off[1] < 0.5 * off[0] and abs(slips[1] - 0.006) < abs(slips[0] - 0.006)
+
+
+def test_what_moves_unfelt_is_followed_where_that_is_sensed(model):
+    belief, memory = begin(follow(model))
+    reading = felt_by(0 * PUSH[0], AWAY, model)
+    motion = se3.identity((len(AWAY),))
+    for went, moved in ((0.0, False), (0.02, True)):
+        motion[-1, 0, 3] = went
+        told = replace(reading, object_motion=motion.clone())
+        _, _, info = follow(model)(belief, memory, told, generator=generator(1))
+        assert bool(info.moved) is moved
+
+
 def test_after_a_knock_the_object_is_found_by_one_action_about_where_it_was(model):
     """The block was moved by 30 mm; what the action felt leaves open how far along the face it is."""
     followed = follow(model, felt_weight=5.0, outliers=1e-4)

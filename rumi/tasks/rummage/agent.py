@@ -100,6 +100,7 @@ class Rummager:
         steps: actions at most; None for as many as the loop allows.
         upright: whether the object is expected to stand as it did at first.
         looks_again: whether a camera sees the object after every action too.
+        senses_motion: whether something senses how the object moves.
         sensors: what the robot senses by, for people.
         conditions: what a simulated robot lacks, for people; empty for another.
         approach_m: length of an action that may touch the object; 0 for as long as planned.
@@ -128,6 +129,7 @@ class Rummager:
     steps: int | None = None
     upright: bool = True
     looks_again: bool = False
+    senses_motion: bool = False
     sensors: str = "a first view, felt points"
     conditions: str = ""
     approach_m: float = 0.0

@@ -67,12 +67,16 @@ class Answerer(Protocol):
     def conditions(self) -> str: ...  # noqa: D102
     @property
     def looks_again(self) -> bool: ...  # noqa: D102
+    @property
+    def senses_motion(self) -> bool: ...  # noqa: D102
 
 
 def relies_on(rummager: Answerer) -> str:
     """What a run takes for granted, in a line."""
     motion = rummager.filter.settings.motion
     moved = "measured" if motion == "measured" else f"not measured, {_taken(rummager)}"
+    if rummager.senses_motion and motion == "trajectory":
+        moved = f"sensed, as evidence of {_taken(rummager)}"
     reach = "none" if rummager.tool.reach is None else rummager.tool.reach.words
     known = f"motion: {moved}; reach: {reach}; push model: {_pushed_by(rummager)}; sensors: {rummager.sensors}"
     return known + (f"; conditions: {rummager.conditions}" if rummager.conditions else "")
@@ -81,7 +85,9 @@ def relies_on(rummager: Answerer) -> str:
 def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
     """What was not measured and can make a belief sure and wrong, from settings and from what came."""
     motion = rummager.filter.settings.motion
-    if rummager.looks_again or _seen_again(history):
+    missing = [str(record.step) for record in history[1:] if record.reading.object_motion is None]
+    sensed = motion == "trajectory" and not missing and (rummager.senses_motion or len(history) > 1)
+    if rummager.looks_again or sensed or _seen_again(history):
         return ()
     if motion != "measured":
         ideal = not rummager.conditions or rummager.conditions.startswith("ideal")
@@ -91,7 +97,6 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
             f"the object's motion is not measured, but {_taken(rummager)}, and no camera looks again: the belief may "
             f"end sure and wrong{record} (scripts/docs/results/{page}.md)",
         )
-    missing = [str(record.step) for record in history[1:] if record.reading.object_motion is None]
     if not missing:
         return ()
     plural = "s" if len(missing) > 1 else ""

@@ -181,6 +181,7 @@ def build_rummager(
         # trajectories in space topple from one resting pose to the next, whatever the search for poses has
         upright=spec.search == "SE(2)" and not isinstance(pose_filter, IslandFilter),
         looks_again=_looks_again(spec, settings),
+        senses_motion=spec.measures_motion and settings.simulator.measures_motion,
         approach_m=(APPROACH_M if careful else 0.0) if settings.approach_m is None else settings.approach_m,
         retreats=careful if settings.retreats is None else settings.retreats,
         sensors=_sensors(spec, settings),

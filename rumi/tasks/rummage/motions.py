@@ -133,7 +133,18 @@ def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTraj
     """
     worn = simulator.build.worn_m / math.sqrt(3.0)
     camera = simulator.sensors.calibration_m / math.sqrt(3.0)
-    return own.wider(math.hypot(camera, worn), math.hypot(simulator.tool_off_m / math.sqrt(2.0), worn))
+    own = own.wider(math.hypot(camera, worn), math.hypot(simulator.tool_off_m / math.sqrt(2.0), worn))
+    return _as_sensed(own, simulator)
+
+
+def _as_sensed(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
+    """The width of a sensed motion with what its sensor is stated to err by."""
+    stated = simulator.sensors
+    return replace(
+        own,
+        moved_m=math.hypot(own.moved_m, stated.motion_noise_m),
+        moved_rad=math.hypot(own.moved_rad, stated.motion_noise_rad),
+    )
 
 
 def as_inexact(
@@ -157,7 +168,7 @@ def as_inexact(
     known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
     wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
     return replace(
-        own.freer(wider),
+        _as_sensed(own.freer(wider), simulator),
         tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
         tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
         worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], worn)),

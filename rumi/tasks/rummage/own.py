@@ -48,7 +48,8 @@ def rummager(
         tool: its shape; by default the gripper of the paper.
         arm: what the arm reaches, such as `rumi.ArmReach.of_urdf` makes it; None for a tool that gets everywhere.
         motion: how the object's motion is known. "measured": every reading must have `object_motion`, and one that
-            lacks it is refused. Otherwise nothing measures it: "trajectory" (each particle's own: in the plane after
+            lacks it is refused. Otherwise nothing has to measure it: "trajectory" (each particle's own, of which an
+            `object_motion` is evidence where a reading has one: in the plane after
             a first view or from a prior, in space from a prior and by the gripper), "corrected" or "pushed" (a push
             model, of upright objects and a tool in the plane), "estimated" or "sticking". By default that of the
             settings, or without settings `unmeasured`.

@@ -69,6 +69,8 @@ def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
     with build(settings, cache_dir=cache) as (_, agent):
         found = as_inexact(OWN, settings.simulator, agent.model.sdf.bounds)
         assert agent.filter.settings.trajectories == found and found.systematic
+        assert found.moved_m == pytest.approx(math.hypot(OWN.moved_m, settings.simulator.sensors.motion_noise_m))
+        assert found.moved_m > OWN.moved_m and found.moved_rad > OWN.moved_rad
     settings = replace(settings, filter=replace(settings.filter, stated_errors="noise"))
     with build(settings, cache_dir=cache) as (_, agent):
         assert agent.filter.settings.trajectories == as_accurate(OWN, settings.simulator) != OWN

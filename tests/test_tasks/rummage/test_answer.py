@@ -97,6 +97,7 @@ def test_a_rule_holds_where_nothing_is_short_of_it(rule):
     [
         ("measured", {}, "motion: measured; reach: none; push model: quasi-static; sensors: a first view", False),
         ("measured", {"measures_motion": False}, "not measured, each particle's own, by a push model with noise", True),
+        ("trajectory", {}, "motion: sensed, as evidence of each particle's own, by a push model with noise", False),
         ("corrected", {}, "not measured, taken from the push model and corrected", True),
         ("sticking", {}, "not measured, taken to stick to the tool", True),
         ("pushed", {}, "not measured, taken from the push model; reach", True),
@@ -138,6 +139,6 @@ def test_in_space_it_speaks_of_space():
     ("conditions", "told"), [("ideal", True), ("ideal, but measures_motion False", True), ("lab", False)]
 )
 def test_the_record_of_ideal_conditions_is_told_of_those_alone(conditions, told):
-    agent = replace(rummager(motion="trajectory"), conditions=conditions)
+    agent = replace(rummager(motion="trajectory", measures_motion=False), conditions=conditions)
     assert ("drawn mugs on record" in warnings(agent)[0]) is told
     assert ("results/conditions.md" in warnings(agent)[0]) is not told

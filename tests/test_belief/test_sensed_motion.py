@@ -1,0 +1,130 @@
+"""A sensed motion as evidence of a trajectory: by hand, in every history operation, in the replay, in the filter."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
+from rumi.belief.pushed_object import PushedObject
+from rumi.belief.sensed_motion import log_likelihood_of_motions, motion_of, moved_m
+from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.outline import GridOutline
+from sdf import backend, se3
+from sdf.grid_sdf import GridSDF
+from sdf.primitives import Box
+from tests.fixtures.readings import make_reading
+
+DOUBLE = {"dtype": torch.float64}
+OWN = PoseTrajectorySettings(moved_m=0.001, moved_rad=0.02)
+
+
+def planar(*poses) -> torch.Tensor:
+    return se3.from_planar(torch.tensor(poses, **DOUBLE), 0.03)
+
+
+def segment(motion=None) -> Segment:
+    """A tool that goes 10 mm along x, in two instants."""
+    place = torch.tensor([-0.065, 0.0, 0.0], **DOUBLE) + torch.tensor([[0.0], [0.005], [0.01]], **DOUBLE) * (
+        torch.tensor([1.0, 0.0, 0.0], **DOUBLE)
+    )
+    none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, **DOUBLE)
+    path = torch.stack((place[:-1], place[1:]), 1)
+    return Segment(path, True, flat.view(0, 3), none, none, flat, None, motion)
+
+
+def near(metres: float, radians: float) -> float:
+    return -3.5 * math.log1p(((metres / OWN.moved_m) ** 2 + (radians / OWN.moved_rad) ** 2) / 4.0)
+
+
+def test_how_far_a_particle_went_otherwise_than_sensed_counts():
+    """Exactly so, 1 mm beside, turned by .03, and not at all, of an object that was turned about the world's origin."""
+    motion = planar([0.0, 0.0, 0.5])
+    motion[:, 2, 3] = 0.0
+    start = planar([0.3, 0.1, 0.2])
+    there = motion @ start
+    beside, turned = there.clone(), there.clone()
+    beside[0, 1, 3] += 0.001
+    turned[0, :3, :3] = se3.from_planar(torch.tensor([[0.0, 0.0, 0.73]], **DOUBLE))[0, :3, :3]
+    ends = torch.cat((there, beside, turned, start))
+    poses = torch.stack((start.expand(4, 4, 4), ends), 1)
+    found = log_likelihood_of_motions(poses, motion, torch.ones(1, **DOUBLE), OWN)[:, 0]
+    far = float(se3.distance(there, start)[0])
+    expected = [near(0.0, 0.0), near(0.001, 0.0), near(0.0, 0.03), near(far, 0.5)]
+    torch.testing.assert_close(found, torch.tensor(expected, **DOUBLE), atol=1e-6, rtol=0)
+    assert not bool(log_likelihood_of_motions(poses, motion, torch.zeros(1, **DOUBLE), OWN).any())
+
+
+def test_the_motion_of_some_instants_is_from_the_one_before_them():
+    sensed = planar([0.0, 0.0, 0.0], [0.01, 0.0, 0.1], [0.02, 0.01, 0.3]).float()
+    reading = make_reading(motion=sensed)
+    torch.testing.assert_close(motion_of(reading, torch.arange(3)), sensed[2].double())
+    later = motion_of(reading, torch.tensor([1, 2]))
+    torch.testing.assert_close(later @ sensed[0].double(), sensed[2].double())
+    last = motion_of(reading, torch.tensor([2]))
+    torch.testing.assert_close(last @ sensed[1].double(), sensed[2].double())
+
+
+def test_no_motion_tells_nothing():
+    reading = make_reading()
+    assert motion_of(reading, torch.arange(1)) is None
+    assert moved_m(reading, planar([0.3, 0.1, 0.2])) == 0.0
+
+
+def test_how_far_the_object_went_is_that_of_the_object_not_of_the_world_s_origin():
+    turn = planar([0.0, 0.0, 0.5])
+    turn[:, 2, 3] = 0.0
+    reading = make_reading(motion=turn)
+    assert moved_m(reading, planar([0.0, 0.0, 0.2])) == pytest.approx(0.0, abs=1e-9)
+    assert moved_m(reading, planar([1.0, 0.0, 0.2])) == pytest.approx(2.0 * math.sin(0.25), abs=1e-9)
+
+
+def test_a_history_keeps_tempers_and_counts_motions():
+    one, two = planar([0.01, 0.0, 0.1])[0], planar([0.0, 0.02, 0.0])[0]
+    assert History.empty().appended(segment()).motion is None
+    history = History.empty().appended(segment()).appended(segment(one)).appended(segment(two)).appended(segment())
+    torch.testing.assert_close(history.motion[1:3], torch.stack((one, two)))
+    torch.testing.assert_close(history.moved, torch.tensor([0.0, 1.0, 1.0, 0.0], **DOUBLE))
+    torch.testing.assert_close(history.since(2).moved, torch.tensor([1.0, 0.0], **DOUBLE))
+    torch.testing.assert_close(history.worth()[:, Kind.FELT], 3.0 * history.moved)
+    assert history.segment(0).motion is None and history.segment(3).motion is None
+    torch.testing.assert_close(history.segment(2).motion, two)
+    short = History.empty().appended(segment(one)).tempered(0.25)
+    torch.testing.assert_close(short.moved, torch.tensor([0.25], **DOUBLE))
+    torch.testing.assert_close(short.last().motion, one[None])
+
+
+def test_a_replay_adds_motions_from_its_first_segment_on_once():
+    box = GridSDF.from_sdf(Box([0.045, 0.045, 0.03]), 0.006)
+    outline = GridOutline.of_slice(box, 0.0).to(torch.zeros(1, **DOUBLE))
+    square = PushedObject(
+        box,
+        0.03,
+        outline,
+        torch.zeros(2, **DOUBLE),
+        0.034,
+        torch.zeros(1, 2, **DOUBLE),
+        torch.zeros(1, 3, **DOUBLE),
+        0.03,
+    )
+    history = History.empty().appended(segment()).appended(segment(planar([0.002, 0.001, 0.03])[0]))
+    start = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.01, 0.1]], **DOUBLE)
+    given = Trajectories(
+        torch.zeros(2, PHYSICS, **DOUBLE),
+        torch.zeros(2, 2, NOISE, **DOUBLE),
+        start[:, None].repeat(1, 3, 1),
+        torch.zeros(2, 2, **DOUBLE),
+        history,
+        start,
+    )
+    from_start = torch.zeros(2, dtype=torch.long)
+    with backend.force("torch"):
+        whole = given.replayed(square, OWN, history, from_start)
+        again = whole.replayed(square, OWN, history, torch.tensor([1, 2]))
+        untold = given.replayed(square, OWN, replace(history, motion=None, moved=None), from_start)
+    told = log_likelihood_of_motions(square.world_T_object(whole.poses), history.motion, history.moved, OWN)
+    torch.testing.assert_close(whole.log_likelihood, untold.log_likelihood + told)
+    assert bool((told[:, 1] < 0).all()) and not bool(told[:, 0].any())
+    torch.testing.assert_close(again.log_likelihood, whole.log_likelihood)
