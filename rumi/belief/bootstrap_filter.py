@@ -21,6 +21,7 @@ from rumi.belief.pose_trajectories import NOISE, OWN, PoseTrajectoryBelief, Traj
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.segments import felt_pads, path_of, pushed, until_felt
+from rumi.belief.sensed_motion import log_likelihood_of_motions
 from rumi.belief.tempering import check_finite, log_mean, power_of
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History, Kind, Segment
@@ -40,6 +41,7 @@ SHOWN = 400
 _UNMET, _MET, _SPARED = 5, 2, 0.02  # draws for each particle at a first touch, those that are pushed, their least share
 _JUMPS, _MORE_JUMPS = 0.03, 0.15  # share of an action's draws that jump; where the first draws fit badly
 _TRIES, _FIT = 3, 40  # times that draws are made of a segment until one in so many particles counts
+_A_MOTION = 6.0  # nats that a segment's sensed motion may cost where the model follows it but roughly
 _WIDER = 1.5  # times as much noise of the later ones
 _KERNEL = (0.0005, 0.0005, 0.01)  # deviations by which what is resampled moves: metres, metres, radians
 _KEPT = 0.98  # correlation of the physics from action to action
@@ -168,8 +170,8 @@ class BootstrapFilter(PoseTrajectoryFilter):
             )
             told, spans = told + gained, [*spans, len(instants)]
             now, log_weights = self._thinned(now, log_weights, random)
-        sensed = 0 if reading.object_motion is None else len(spans)
-        if not unfelt and told < least_fit(int(reading.in_contact.sum())) - 6.0 * sensed:
+        allowed = 0.0 if reading.object_motion is None else _A_MOTION * len(spans)
+        if not unfelt and told < least_fit(int(reading.in_contact.sum())) - allowed:
             return self._jumped(*before, reading, path, random), []
         return now.at(resample_systematic(log_weights, generator=random)), spans
 
@@ -203,7 +205,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
             noise = normal((len(now), 1, NOISE), generator=random, dtype=torch.float64)
             if again:
                 noise[:, :, 2:OWN] *= _WIDER
-            found.append(some.stepped(self.model, self.own, noise, history))
+            found.append(self._from_before(now, some.stepped(self.model, self.own, noise, history), segment))
             gained = found[-1].log_likelihood[:, -1]
             check_finite(gained)
             whole = torch.cat((whole, log_weights + gained))
@@ -212,6 +214,17 @@ class BootstrapFilter(PoseTrajectoryFilter):
         told = float(whole.logsumexp(-1)) - math.log(len(found))
         now = found[0].joined(*found[1:])
         return replace(now, log_evidence=now.log_evidence + told), normalise(whole), told
+
+    def _from_before(self, now: Trajectories, after: Trajectories, segment: Segment) -> Trajectories:
+        """Particles after a segment whose sensed motion counts from where each was before it, and before any jump."""
+        if segment.motion is None:
+            return after
+        place, power = self.model.world_T_object, torch.ones(1, dtype=torch.float64)
+        end, told = place(after.pose), after.log_likelihood.clone()
+        for sign, start in ((-1.0, after.poses[:, -2]), (1.0, now.pose)):
+            poses = torch.stack((place(start), end), 1)
+            told[:, -1] += sign * log_likelihood_of_motions(poses, segment.motion[None], power, self.own)[:, 0]
+        return replace(after, log_likelihood=told)
 
     def _some_jumped(self, now: Trajectories, segment: Segment, share: float, random: torch.Generator) -> Trajectories:
         """A share of the particles where a jump before the segment may have led."""
@@ -286,7 +299,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
         start = jumped(self.model.rests, last.pose[rows], way, generator=random, held=held)
         start = torch.cat((start, from_prior(self.prior, count - len(start), random)))
         end, some = torch.tensor([len(path) - 1]), start[systematic(_flat(count), 0.5, min(self.shown, count))]
-        ended = pushed(reading, end, path, felt, some[:, None], self.model, own)._replace(pushes=False)
+        ended = pushed(reading, end, path, felt, some[:, None], self.model, own)._replace(pushes=False, motion=None)
         start = self._brought(start, ended, random)
         kept = resample_systematic(self._fit(start, ended), own.unseen_particles, generator=random)
         drawn = Trajectories.drawn(start[kept], History.empty(4), random, apart=True)

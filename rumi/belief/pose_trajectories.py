@@ -200,12 +200,12 @@ class Trajectories:
         version = backend.dispatch(model.replay, self.poses, *model.sdf.tensors())
         least = torch.full_like(first, -torch.inf, dtype=torch.float64) if least is None else least
         poses, log_likelihood = version(model, settings, history, self, first, least)
+        further = []
         if bool(history.force[:, 2].any()):
-            told = model.told_by_force(settings, self.physics, poses, history)
-            log_likelihood = log_likelihood + torch.where(torch.arange(len(history)) >= first[:, None], told, 0.0)
-        if history.motion is not None and history.moved is not None:
-            there = model.world_T_object(poses)
-            told = log_likelihood_of_motions(there, history.motion, history.moved, settings)
+            further.append(model.told_by_force(settings, self.physics, poses, history))
+        if history.motion is not None:
+            further.append(log_likelihood_of_motions(model.world_T_object(poses), *history.sensed(), settings))
+        for told in further:
             log_likelihood = log_likelihood + torch.where(torch.arange(len(history)) >= first[:, None], told, 0.0)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
 

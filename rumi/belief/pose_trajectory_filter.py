@@ -1,9 +1,9 @@
 """Pose filter whose particles each have their own motion: resample-move over trajectories, with tempering.
 
-No sensor measures how the object moved. Every particle is a start pose, the physics of pushing it, and what its
-motion was off; each reading is compared with the particle's pose at the instant of the reading, so that a new one
-costs its own points alone. Where weights degenerate, readings come in by and by (tempering), and particles are
-resampled and moved under their whole history (Chopin's IBIS, 2002, with Del Moral's tempering, 2006).
+No sensor has to measure how the object moved; one that does is evidence. Every particle is a start pose, the physics of
+pushing it, and what its motion was off; each reading is compared with the particle's pose at the instant of the
+reading, so that a new one costs its own points alone. Where weights degenerate, readings come in by and by (tempering),
+and particles are resampled and moved under their whole history (Chopin's IBIS, 2002, with Del Moral's tempering, 2006).
 """
 
 import copy
@@ -22,7 +22,7 @@ from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajector
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import above, cut, felt_pads, path_of, pushed, seen_besides, standing
-from rumi.belief.sensed_motion import moved_m
+from rumi.belief.sensed_motion import way_sensed
 from rumi.belief.tempering import check_finite, in_full, log_mean, power_of, raised
 from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import Segment
@@ -69,7 +69,7 @@ class Advanced(NamedTuple):
 
 
 class PoseTrajectoryFilter(PoseFilter):
-    """Follows objects that a tool pushes, without a sensor of their motion; holds settings alone.
+    """Follows objects that a tool pushes, with or without a sensor of their motion; holds settings alone.
 
     Args:
         settings: of which `trajectories` count here, and the lattice of the points kept for planners.
@@ -159,8 +159,7 @@ class PoseTrajectoryFilter(PoseFilter):
         """Particles after an action, and how they came there."""
         own, resampled = self.own, False
         path = path_of(reading, self.model)
-        spans: list[int] = []
-        touched = self._pushes(now, log_weights, reading, path)
+        spans, touched = list[int](), self._pushes(now, log_weights, reading, path)
         if touched:
             parts = cut(reading, own, self.model.lifted(reading.tool_pose))
             now, spans = self._touched(now, log_weights, parts, reading, path, random)
@@ -181,13 +180,14 @@ class PoseTrajectoryFilter(PoseFilter):
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
         """Whether the tool may have moved the object: that is sensed, the pads felt it, or it met it beside them."""
-        sensed = moved_m(reading, self.model.world_T_object(now.pose[:1])) > _MOVED_M
-        if sensed or bool(reading.in_contact.any()) or self._leans(now, log_weights):
+        if bool(reading.in_contact.any()) or self._leans(now, log_weights):
             return True
         path = path[~self.model.lifted(reading.tool_pose)]
         if not len(path):
             return False
         some = now.pose[systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))]
+        if way_sensed(reading, self.model.world_T_object(some)) > _MOVED_M:
+            return True
         if float(torch.cdist(path[:, 1, :2], some[:, :2]).min()) >= self.model.reach_m:
             return False
         moved = (self.model.tracks(self.own, some, path)[:, -1] - some)[:, :2].norm(dim=-1) > _MOVED_M

@@ -8,12 +8,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.belief.trajectory_history import MOTION_WORTH
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf import se3
 from sensors.reading import Reading
 
-_FREEDOM = 4.0  # degrees of it of Student's t
+USUAL_NATS = -2.0
+"""Log-likelihood of a segment's sensed motion where it is what the particle's was, about."""
+
+_FREEDOM, _NUMBERS = 4.0, 3.0  # degrees of freedom of Student's t, and numbers that a motion tells of a pushed object
 
 
 def motion_of(reading: Reading, instants: Int[Tensor, "k"]) -> Float[Tensor, "4 4"] | None:
@@ -26,16 +28,16 @@ def motion_of(reading: Reading, instants: Int[Tensor, "k"]) -> Float[Tensor, "4 
     return end if begin == 0 else end @ se3.inverse(sensed[begin - 1].double())
 
 
-def moved_m(reading: Reading, world_T_object: Float[Tensor, "1 4 4"]) -> float:
-    """How far an object at a pose went in an action, metres; 0 where no motion was sensed."""
+def way_sensed(reading: Reading, world_T_object: Float[Tensor, "n 4 4"]) -> float:
+    """How far an object at the middle one of some poses went in an action, metres; 0 where no motion was sensed."""
     motion = motion_of(reading, torch.arange(len(reading.tool_pose)))
-    return 0.0 if motion is None else float(se3.distance(motion @ world_T_object, world_T_object)[0])
+    return 0.0 if motion is None else float(se3.distance(motion @ world_T_object, world_T_object)[0].median())
 
 
 def log_likelihood_of_motions(
     world_T_object: Float[Tensor, "N S1 4 4"],
     motion: Float[Tensor, "S 4 4"],
-    worth: Float[Tensor, "S"],
+    power: Float[Tensor, "S"],
     own: PoseTrajectorySettings,
 ) -> Float[Tensor, "N S"]:
     """Log-likelihood of each segment's sensed motion, up to a constant: Student's t of how far off place and turn are.
@@ -46,9 +48,9 @@ def log_likelihood_of_motions(
     Args:
         world_T_object: poses before the first segment and after each.
         motion: that was sensed, of the world.
-        worth: power to which that is raised; 0 where none was sensed.
+        power: to which that is raised; 0 where none was sensed.
         own: of `moved_m` and `moved_rad`.
     """
     metres, radians = se3.distance(motion @ world_T_object[:, :-1], world_T_object[:, 1:])
     off = (metres / own.moved_m).square() + (radians / own.moved_rad).square()
-    return -0.5 * (_FREEDOM + MOTION_WORTH) * worth * (off / _FREEDOM).log1p()
+    return -0.5 * (_FREEDOM + _NUMBERS) * power * (off / _FREEDOM).log1p()

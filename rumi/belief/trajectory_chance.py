@@ -18,6 +18,7 @@ from rumi.belief.trajectory_history import Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 
 _POWERS = tuple(0.05 * k for k in range(1, 20))  # s, of which the best is taken
+_OF_A_MOTION = 6.0  # felt points that a sensed motion counts as, whose errors in six numbers are normal ones
 _NODES, _FAR = 4001, 8.0  # of the normal deviate that a reading is off, and how far
 
 
@@ -37,7 +38,9 @@ def log_chance(now: Trajectories, log_weights: Float[Tensor, "N"], own: PoseTraj
         return 0.0
     alive = log_weights > -math.inf
     gained = now.log_likelihood[alive].flip(-1).cumsum(-1).flip(-1).amax(0)
-    worth = now.history.worth().flip(0).cumsum(0).flip(0)
+    worth = now.history.worth()
+    worth[:, Kind.FELT] += _OF_A_MOTION * now.history.sensed()[1]
+    worth = worth.flip(0).cumsum(0).flip(0)
     powers = gained.new_tensor(_POWERS)
     bounds = powers[:, None] * gained + (worth @ _log_moments(own).mT).mT
     return min(0.0, float(bounds.amin()) + math.log(segments))

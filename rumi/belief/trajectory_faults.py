@@ -22,6 +22,7 @@ from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.predicted_action import followed, log_evidence
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import besides, seen_besides
+from rumi.belief.sensed_motion import USUAL_NATS
 from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -104,7 +105,7 @@ def log_ratios(
     if looks is not None and not bool(seen.any()):  # all else has the object hidden, and not where the view is free
         gone, seen = gone - math.log(_HIDDEN), history.kind == Kind.FREE
     if bool(seen.any()):  # the object is there and as hard to foresee, whatever the hand feels
-        shown = replace(history, weight=history.weight.masked_fill(~seen, 0.0))
+        shown = replace(history.unsensed(), weight=history.weight.masked_fill(~seen, 0.0))
         dead += log_evidence(before, log_weights, shown, pose_filter, generator)
     told |= {"absent": gone - none, "dead hand": dead - none}
     if felt:
@@ -182,7 +183,7 @@ def _stuck(history: History, sensed: PoseTrajectorySettings) -> float:
         return -math.inf
     worth = history.worth().sum(0)
     bits = worth[Kind.PAD_FELT :].sum()
-    known = math.log1p(-sensed.outliers) * float(bits)
+    known = math.log1p(-sensed.outliers) * float(bits) + USUAL_NATS * float(history.sensed()[1].sum())
     return known + math.log(sensed.outliers) * float(worth[Kind.FELT]) - math.log(_PATTERNS)
 
 
@@ -214,7 +215,7 @@ def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[
     each = worth.new_zeros(len(Kind))
     each[Kind.FELT] = each[Kind.PAD_FELT] = never
     each[Kind.PAD_CLEAR] = each[Kind.PAD_SILENT] = always
-    dead = float(worth @ each)
+    dead = float(worth @ each) + USUAL_NATS * float(history.sensed()[1].sum())  # whatever a sensor of motion told
     return dead + never * float(worth[Kind.SEEN]), dead
 
 

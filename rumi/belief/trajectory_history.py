@@ -16,10 +16,6 @@ NODES = 2001
 """Distances from the surface that the compiled version's log-likelihoods of a kind are a table over; odd, 0 amid."""
 
 
-MOTION_WORTH = 3.0
-"""Readings of one number that a sensed motion, of place and turn, is worth."""
-
-
 class Kind(IntEnum):
     """Meaning of a point."""
 
@@ -71,7 +67,7 @@ class History:
         point_ends: (T), point behind each instant's last.
         force: (S, 3), mean force of each segment and what it is worth; 0 where none was measured.
         motion: (S, 4, 4), sensed motion of each segment, and
-        moved: (S), the power to which that is raised, 0 where none was sensed; None where none ever was.
+        motion_power: (S), the power to which that is raised, 0 where none was sensed; None where none ever was.
         power: to which the last segment's readings are raised; weights have it in them.
     """
 
@@ -85,7 +81,7 @@ class History:
     point_ends: Int[Tensor, "T"]
     force: Float[Tensor, "S 3"]
     motion: Float[Tensor, "S 4 4"] | None = None
-    moved: Float[Tensor, "S"] | None = None
+    motion_power: Float[Tensor, "S"] | None = None
     power: float = 1.0
 
     @classmethod
@@ -118,17 +114,17 @@ class History:
         action = count if opens or not count else int(self.action[-1])
         counts = torch.bincount(segment.instant, minlength=instants)
         force = self.force.new_zeros(3) if segment.force is None else segment.force.to(self.force)
-        motion, moved = self.motion, self.moved
+        motion, known = self.motion, self.motion_power
         if motion is not None or segment.motion is not None:
-            motion, moved = self._sensed()
+            motion, known = self.sensed()
             own = segment.motion
             new = se3.identity((), dtype=motion.dtype, device="cpu") if own is None else own.to(motion)
             motion = torch.cat((motion, new[None]))
-            moved = torch.cat((moved, moved.new_full((1,), float(own is not None))))
+            known = torch.cat((known, known.new_full((1,), float(own is not None))))
         return replace(
             self,
             motion=motion,
-            moved=moved,
+            motion_power=known,
             tool=torch.cat((self.tool, segment.tool)),
             pushes=torch.cat((self.pushes, torch.full((instants,), segment.pushes))),
             ends=torch.cat((self.ends, torch.tensor([len(self.tool) + instants]))),
@@ -144,17 +140,21 @@ class History:
         """The last segment's readings raised to a power."""
         if power == 1.0 or not len(self):
             return self
-        weight, force, moved = self.weight.clone(), self.force.clone(), self.moved
-        if moved is not None:
-            moved = torch.cat((moved[:-1], power * moved[-1:]))
+        weight, force, known = self.weight.clone(), self.force.clone(), self.motion_power
+        if known is not None:
+            known = torch.cat((known[:-1], power * known[-1:]))
         weight[self._points_before(len(self) - 1) :] *= power
         force[-1, 2] *= power
-        return replace(self, weight=weight, force=force, moved=moved, power=power)
+        return replace(self, weight=weight, force=force, motion_power=known, power=power)
 
-    def _sensed(self) -> tuple[Float[Tensor, "S 4 4"], Float[Tensor, "S"]]:
+    def unsensed(self) -> Self:
+        """The same where no motion was sensed."""
+        return replace(self, motion=None, motion_power=None)
+
+    def sensed(self) -> tuple[Float[Tensor, "S 4 4"], Float[Tensor, "S"]]:
         """Sensed motions and their powers, 0 where none was ever sensed."""
-        if self.motion is not None and self.moved is not None:
-            return self.motion, self.moved
+        if self.motion is not None and self.motion_power is not None:
+            return self.motion, self.motion_power
         count = len(self)
         return se3.identity((count,), dtype=torch.float64, device="cpu"), torch.zeros(count, dtype=torch.float64)
 
@@ -178,7 +178,7 @@ class History:
             point_ends=self.point_ends[first:] - point,
             force=self.force[segment:],
             motion=None if self.motion is None else self.motion[segment:],
-            moved=None if self.moved is None else self.moved[segment:],
+            motion_power=None if self.motion_power is None else self.motion_power[segment:],
         )
 
     def segment(self, number: int) -> Segment:
@@ -194,7 +194,7 @@ class History:
             self.kind[low:high],
             self.weight[low:high],
             self.force[number],
-            self.motion[number] if self.motion is not None and bool(self._sensed()[1][number] > 0) else None,
+            self.motion[number] if self.motion is not None and bool(self.sensed()[1][number] > 0) else None,
         )
 
     def moving(self) -> Int[Tensor, "s"]:
@@ -207,12 +207,12 @@ class History:
         return torch.arange(self._points_before(int(moving[-1]) + 1) if len(moving) else 0, len(self.points))
 
     def worth(self) -> Float[Tensor, "S kinds"]:
-        """Independent readings of each kind that each segment is worth; forces and motions err as felt points do."""
+        """Independent readings of each kind that each segment's points are worth; a force errs as felt points do."""
         at = torch.searchsorted(self.point_ends, torch.arange(len(self.points)), right=True)
         segment = torch.searchsorted(self.ends, at, right=True)
         flat = torch.zeros(len(self) * len(Kind), dtype=torch.float64)
         flat = flat.index_add_(0, len(Kind) * segment + self.kind, self.weight.double())
-        flat[int(Kind.FELT) :: len(Kind)] += self.force[:, 2] + MOTION_WORTH * self._sensed()[1]
+        flat[int(Kind.FELT) :: len(Kind)] += self.force[:, 2]
         return flat.view(len(self), len(Kind))
 
     def _points_before(self, segment: int) -> int:

@@ -199,7 +199,7 @@ class StopEvidence(NamedTuple):
             particles count it.
         chance: of readings as unlikely as these where the best particle is right, at most; 1 where nobody knows.
         draws: effective number of these particles.
-        let_go: whether the belief was sure before the last action too, by which the tool let go of the object.
+        let_go: whether the belief was sure before the last action too, and the tool has let go of the object since.
     """
 
     expected_nll: float

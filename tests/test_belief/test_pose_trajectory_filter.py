@@ -145,6 +145,17 @@ def test_what_moves_unfelt_is_followed_where_that_is_sensed(model):
         assert bool(info.moved) is moved
 
 
+def test_what_goes_while_the_tool_is_lifted_leaves_the_belief_as_it_was(model):
+    belief, memory = begin(follow(model))
+    reading = felt_by(0 * PUSH[0], AWAY, model)
+    high, motion = reading.tool_pose.clone(), se3.identity((len(AWAY),))
+    high[:, 2, 3] += 0.3
+    motion[-1, 0, 3] = 0.02
+    told = replace(reading, tool_pose=high, object_motion=motion)
+    after, _, info = follow(model)(belief, memory, told, generator=generator(1))
+    assert not bool(info.moved) and torch.equal(after.log_weights, belief.log_weights)
+
+
 def test_after_a_knock_the_object_is_found_by_one_action_about_where_it_was(model):
     """The block was moved by 30 mm; what the action felt leaves open how far along the face it is."""
     followed = follow(model, felt_weight=5.0, outliers=1e-4)

@@ -6,15 +6,18 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi.belief.bootstrap_filter import BootstrapFilter
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
-from rumi.belief.sensed_motion import log_likelihood_of_motions, motion_of, moved_m
-from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.sensed_motion import log_likelihood_of_motions, motion_of, way_sensed
+from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.outline import GridOutline
 from sdf import backend, se3
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box
+from tests.fixtures.box_in_space import begin as begin_in_space
+from tests.fixtures.box_in_space import follow
 from tests.fixtures.readings import make_reading
 
 DOUBLE = {"dtype": torch.float64}
@@ -70,15 +73,15 @@ def test_the_motion_of_some_instants_is_from_the_one_before_them():
 def test_no_motion_tells_nothing():
     reading = make_reading()
     assert motion_of(reading, torch.arange(1)) is None
-    assert moved_m(reading, planar([0.3, 0.1, 0.2])) == 0.0
+    assert way_sensed(reading, planar([0.3, 0.1, 0.2])) == 0.0
 
 
 def test_how_far_the_object_went_is_that_of_the_object_not_of_the_world_s_origin():
     turn = planar([0.0, 0.0, 0.5])
     turn[:, 2, 3] = 0.0
     reading = make_reading(motion=turn)
-    assert moved_m(reading, planar([0.0, 0.0, 0.2])) == pytest.approx(0.0, abs=1e-9)
-    assert moved_m(reading, planar([1.0, 0.0, 0.2])) == pytest.approx(2.0 * math.sin(0.25), abs=1e-9)
+    assert way_sensed(reading, planar([0.0, 0.0, 0.2])) == pytest.approx(0.0, abs=1e-9)
+    assert way_sensed(reading, planar([1.0, 0.0, 0.2])) == pytest.approx(2.0 * math.sin(0.25), abs=1e-9)
 
 
 def test_a_history_keeps_tempers_and_counts_motions():
@@ -86,13 +89,13 @@ def test_a_history_keeps_tempers_and_counts_motions():
     assert History.empty().appended(segment()).motion is None
     history = History.empty().appended(segment()).appended(segment(one)).appended(segment(two)).appended(segment())
     torch.testing.assert_close(history.motion[1:3], torch.stack((one, two)))
-    torch.testing.assert_close(history.moved, torch.tensor([0.0, 1.0, 1.0, 0.0], **DOUBLE))
-    torch.testing.assert_close(history.since(2).moved, torch.tensor([1.0, 0.0], **DOUBLE))
-    torch.testing.assert_close(history.worth()[:, Kind.FELT], 3.0 * history.moved)
+    torch.testing.assert_close(history.motion_power, torch.tensor([0.0, 1.0, 1.0, 0.0], **DOUBLE))
+    torch.testing.assert_close(history.since(2).motion_power, torch.tensor([1.0, 0.0], **DOUBLE))
+    assert not bool(history.worth().any()) and history.unsensed().motion is None
     assert history.segment(0).motion is None and history.segment(3).motion is None
     torch.testing.assert_close(history.segment(2).motion, two)
     short = History.empty().appended(segment(one)).tempered(0.25)
-    torch.testing.assert_close(short.moved, torch.tensor([0.25], **DOUBLE))
+    torch.testing.assert_close(short.motion_power, torch.tensor([0.25], **DOUBLE))
     torch.testing.assert_close(short.last().motion, one[None])
 
 
@@ -123,8 +126,37 @@ def test_a_replay_adds_motions_from_its_first_segment_on_once():
     with backend.force("torch"):
         whole = given.replayed(square, OWN, history, from_start)
         again = whole.replayed(square, OWN, history, torch.tensor([1, 2]))
-        untold = given.replayed(square, OWN, replace(history, motion=None, moved=None), from_start)
-    told = log_likelihood_of_motions(square.world_T_object(whole.poses), history.motion, history.moved, OWN)
+        untold = given.replayed(square, OWN, replace(history, motion=None, motion_power=None), from_start)
+    told = log_likelihood_of_motions(square.world_T_object(whole.poses), history.motion, history.motion_power, OWN)
     torch.testing.assert_close(whole.log_likelihood, untold.log_likelihood + told)
     assert bool((told[:, 1] < 0).all()) and not bool(told[:, 0].any())
     torch.testing.assert_close(again.log_likelihood, whole.log_likelihood)
+
+
+def test_a_jump_before_a_segment_is_part_of_its_motion(box, prior):
+    """One particle went 50 mm by a jump, one by the push, and one not at all."""
+    followed = follow(box, prior, BootstrapFilter, unseen_particles=3, islands=1, moved_m=0.001)
+    belief, _ = begin_in_space(followed, prior)
+    now = belief.every
+    first, went = now.pose.clone(), torch.tensor([0.05, 0.05, 0.0], **DOUBLE)
+    motion = torch.eye(4, **DOUBLE)
+    motion[0, 3] = 0.05
+    still = Segment(torch.zeros(1, 2, 4, **DOUBLE), True, first[:0, :3], *(torch.zeros(0).long(),) * 2, first[:0, 0])
+    told = still._replace(motion=motion)
+    last = first.clone()
+    last[:, 0] += went
+    jumped = first.clone()
+    jumped[0, 0] += 0.05
+    after = replace(
+        now.lengthened(torch.zeros(3, 1, NOISE, **DOUBLE), now.history.appended(told)),
+        poses=torch.stack((jumped, last), 1),
+    )
+    before = replace(now, poses=first[:, None])
+    poses = torch.stack([followed.model.world_T_object(part) for part in (jumped, last)], 1)
+    sensed = motion[None], torch.ones(1, **DOUBLE), followed.own
+    scored = replace(after, log_likelihood=log_likelihood_of_motions(poses, *sensed))
+    found = followed._from_before(before, scored, told).log_likelihood[:, -1]
+    assert float(scored.log_likelihood[0, -1]) < -10.0
+    torch.testing.assert_close(found[:2], torch.zeros(2, **DOUBLE), atol=1e-6, rtol=0)
+    assert float(found[2]) < -10.0
+    assert followed._from_before(before, scored, still) is scored

@@ -43,6 +43,7 @@ from sensors.reading import Reading
 _PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
 _STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "faults", "pushes")  # of random, by use
 _TOLD = ("measured", "corrected", "estimated")  # motions that tell of the push, not of the push model
+_RETREATS = 4  # on end: a pad that is stuck feels wherever it is
 _HOLDS = "the tool touches the object, which may lean on it"
 _PARTS = 8  # of an action, in which its free path is worked out again
 
@@ -60,7 +61,7 @@ class RummageState:
         plan: that is being followed.
         executed: controls of it that were carried out.
         surprised: whether the reading calls for a new plan.
-        retreated: whether the last action took the tool back from an object that leant on it.
+        retreated: actions on end, the last one among them, that took the tool back from the object.
         watch: for faults.
         pushes: what was learnt of how the object slides; None where that is fixed.
     """
@@ -73,7 +74,7 @@ class RummageState:
     plan: Plan | None = None
     executed: int = 0
     surprised: bool = False
-    retreated: bool = False
+    retreated: int = 0
     watch: Watch = field(default_factory=Watch)
     pushes: PushPosterior | None = None
 
@@ -170,7 +171,7 @@ class Rummager:
         if leant_on or self._lets_go(state):
             back = self._way_back(state)
             if back is not None:
-                return replace(state, plan=None, executed=0, retreated=True), back
+                return replace(state, plan=None, executed=0, retreated=state.retreated + 1), back
         if plan is None or state.surprised or executed >= min(self.replan_every, len(plan.controls)):
             belief, scene, random = state.record.belief, self.scene(state), state.random
             if self.budget_s is not None and state.record.step == 0:
@@ -188,7 +189,7 @@ class Rummager:
             here, belief = state.record.reading.configuration, state.record.belief
             with state.clock("plan"):
                 control = shortened(control, self.tool, here, belief, self.model.sdf, self.approach_m)
-        return replace(state, plan=plan, executed=executed, retreated=False), control
+        return replace(state, plan=plan, executed=executed, retreated=0), control
 
     def update(self, state: RummageState, control: Float[Tensor, "A"], result: StepResult | Reading) -> RummageState:
         """Take a reading in; after the first touch, and where sure, draw poses anew that might fit as well."""
@@ -259,8 +260,8 @@ class Rummager:
 
     def _lets_go(self, state: RummageState) -> bool:
         """Whether the belief is sure of an object that may lean on the tool, and there is a way to let go of it."""
-        touches = self.retreats and state.record.converged and holds(state.record.reading)
-        return touches and self._way_back(state) is not None
+        sure = self.retreats and state.record.converged and state.retreated < _RETREATS
+        return sure and holds(state.record.reading) and self._way_back(state) is not None
 
     def _way_back(self, state: RummageState) -> Float[Tensor, "A"] | None:
         return way_back([step.reading for step in state.history], self.tool.scale)

@@ -107,7 +107,7 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
 
 
 def _taken(rummager: Answerer) -> str:
-    """How the motion comes about that nothing measures."""
+    """How the motion comes about that is not measured."""
     motion = rummager.filter.settings.motion
     return _IN_SPACE if motion == "trajectory" and rummager.tool.spatial else _TAKEN[motion]
 
@@ -135,7 +135,7 @@ def why_not(
         pose.probability,
         math.exp(rummager.filter.log_chance(record.belief)),
     )
-    short = shortfalls(rummager.stop_rule, evidence)
+    short = () if doubt and record.converged else shortfalls(rummager.stop_rule, evidence)
     if not short:
         return f"{doubt}; {ended}" if doubt else ended
     first = short[0]

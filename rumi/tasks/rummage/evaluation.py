@@ -63,7 +63,8 @@ def evaluate_step(
         model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
     )
     chance, ess = math.exp(rummager.filter.log_chance(belief)), float(belief.ess())
-    let_go = rummager.retreats and bool(history) and history[-1].converged and holds(history[-1].reading)
+    held = rummager.retreats and bool(history) and history[-1].converged and holds(history[-1].reading)
+    let_go = held and not holds(result.reading)
     best = StopEvidence(0.0, fit, 0.0, model.diagonal, contacts, p_right, chance, ess, let_go)
     with clock("agree"):
         every = turns(rummager.stop_rule, best)

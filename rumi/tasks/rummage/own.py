@@ -112,7 +112,8 @@ def rummager(
     any_nll = math.inf if settings.stop.most_nll is None else settings.stop.most_nll
     asked = replace(settings, stop=replace(settings.stop, most_nll=any_nll))
     found = build_rummager(spec, asked, model, made, workspace)
-    return replace(found, steps=settings.steps, about={**to_dict(settings), "task": OWN})
+    told = {**to_dict(settings), "task": OWN}
+    return replace(found, steps=settings.steps, senses_motion=False, about=told)  # readings will tell whether they do
 
 
 def unmeasured(

@@ -1,4 +1,4 @@
-"""Retreat: from what leans on the tool it goes back the way it came, once, and not far."""
+"""Retreat: the tool goes back to where it felt nothing, from what leans on it and before a run is sure, and not far."""
 
 import math
 from dataclasses import replace
@@ -9,6 +9,7 @@ import torch
 import rumi
 from rumi.belief.island_filter import IslandFilter
 from rumi.clock import Clock
+from rumi.tasks.rummage import evaluation
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.retreat import way_back
 from tests.fixtures.readings import make_reading
@@ -90,9 +91,38 @@ def test_a_run_lets_go_before_it_is_sure(retreats, felt, lets_go, all_in_reach):
         assert agent.stop(state) == (None if lets_go else "sure")
         if lets_go:
             after, back = agent.act(state)
-            assert after.plan is None and after.retreated
+            assert after.plan is None and after.retreated == 1
+            stuck = replace(state, retreated=4)  # a pad that feels wherever it is
+            assert agent.stop(stuck) == "sure" and agent.act(stuck)[0].plan is not None
             assert float((back * control)[:3].sum()) < 0.0
             begun = state.history[0].reading.configuration
             there = replace(record, step=2, reading=replace(record.reading, configuration=begun))
             state = replace(after, record=there, history=(*state.history, there))
             assert agent.stop(state) == "sure"  # felt where it never touched: there is nowhere to go back to
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("held", "holds_on", "retreats", "expected"),
+    [
+        (True, False, True, True),
+        (True, True, True, False),
+        (False, False, True, False),
+        (True, False, False, False),
+    ],
+)
+def test_less_is_asked_for_only_once_it_has_let_go(held, holds_on, retreats, expected, all_in_reach, monkeypatch):
+    own = replace(settings(), task="drill-0", steps=3, retreats=retreats)
+    own = replace(own, simulator=replace(own.simulator, measures_motion=False))
+    few = replace(own.filter.trajectories, unseen_particles=20)
+    asked = []
+    monkeypatch.setattr(evaluation, "converged", lambda rule, evidence: bool(asked.append(evidence)))
+    with build(replace(own, filter=replace(own.filter, trajectories=few)), cache_dir=all_in_reach) as (sim, agent):
+        result = sim.reset(0)
+        state = agent.begin(result, seed=0, clock=Clock())
+        at = [torch.tensor([touches]) for touches in (held, holds_on)]
+        readings = [replace(result.reading, in_contact=each, tool_pose=result.reading.tool_pose[:1]) for each in at]
+        last = replace(state.record, reading=readings[0], converged=True)
+        now = replace(result, reading=readings[1])
+        evaluation.evaluate_step(agent, Clock(), (last,), now, state.record.belief, state.record.added)
+    assert asked[-1].let_go is expected
