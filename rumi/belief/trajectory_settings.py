@@ -242,6 +242,8 @@ class PoseTrajectorySettings:
             "free_cell_m",
             "tool_spacing_m",
             "force_rad",
+            "moved_m",
+            "moved_rad",
         )
         for name in (*whole, *positive):
             if not getattr(self, name) > 0:

@@ -42,6 +42,12 @@ def near(metres: float, radians: float) -> float:
     return -3.5 * math.log1p(((metres / OWN.moved_m) ** 2 + (radians / OWN.moved_rad) ** 2) / 4.0)
 
 
+@pytest.mark.parametrize("name", ["moved_m", "moved_rad"])
+def test_a_sensor_that_never_errs_is_refused(name):
+    with pytest.raises(ValueError, match=f"Expected {name} above 0, got 0.0"):
+        PoseTrajectorySettings(**{name: 0.0})
+
+
 def test_how_far_a_particle_went_otherwise_than_sensed_counts():
     """Exactly so, 1 mm beside, turned by .03, and not at all, of an object that was turned about the world's origin."""
     motion = planar([0.0, 0.0, 0.5])
