@@ -8,7 +8,7 @@ import torch
 
 from rumi.information.entropy import NeighbourEntropy
 from rumi.information.neighbours import StateMetric
-from rumi.information.stopping import CovarianceRule, EntropyRule, MassRule
+from rumi.information.state_rules import CovarianceRule, EntropyRule, MassRule
 
 Rule = Callable[[torch.Tensor, torch.Tensor], bool]
 RULES: dict[str, Rule] = {

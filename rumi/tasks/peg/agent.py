@@ -13,7 +13,7 @@ from rumi.agent import Parts, StopReason
 from rumi.belief.static_filter import ResampleMoveFilter, StaticBelief
 from rumi.clock import Clock, SimulatedClock
 from rumi.information.contact_gain import ContactKind
-from rumi.information.stopping import TargetEstimate
+from rumi.information.state_rules import TargetEstimate
 from rumi.seeding import split
 from rumi.sim.fault import Fault
 from rumi.task import StepResult

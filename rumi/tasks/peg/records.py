@@ -10,7 +10,7 @@ from torch import Tensor
 from rumi.agent import StopReason
 from rumi.belief.static_filter import StaticBelief
 from rumi.information.contact_gain import ContactKind
-from rumi.information.stopping import TargetEstimate
+from rumi.information.state_rules import TargetEstimate
 from rumi.planning.anytime import Candidate, Evaluated, Selection
 from rumi.registration.pose_summary import PoseSummary, summarise_particles
 from rumi.runs.folder import Run

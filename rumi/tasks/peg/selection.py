@@ -16,7 +16,7 @@ from rumi.clock import Now, SimulatedClock
 from rumi.information.contact_gain import ContactKind, rectangle_likelihood, touch_gain
 from rumi.information.entropy import NeighbourEntropy
 from rumi.information.neighbours import StateMetric
-from rumi.information.stopping import CovarianceRule, EntropyRule, MassRule, TargetEstimate
+from rumi.information.state_rules import CovarianceRule, EntropyRule, MassRule, TargetEstimate
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
 from rumi.planning.duration_model import DurationModel
 from rumi.resampling import resample_systematic

@@ -12,7 +12,7 @@ import torch
 from rumi import loop
 from rumi.belief.static_filter import StaticBelief
 from rumi.cli import main
-from rumi.information.stopping import TargetEstimate
+from rumi.information.state_rules import TargetEstimate
 from rumi.runs.jsonlines import read_lines
 from rumi.tasks.peg import selection as refine
 from rumi.tasks.peg.agent import build_peg

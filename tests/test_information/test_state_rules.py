@@ -7,7 +7,7 @@ import torch
 
 from rumi.information.entropy import SharedSupport, SpatialEntropy
 from rumi.information.neighbours import StateMetric
-from rumi.information.stopping import CovarianceRule, EntropyRule, MassRule, covariance
+from rumi.information.state_rules import CovarianceRule, EntropyRule, MassRule, covariance
 
 
 def gaussian(count: int = 20000, spread: tuple[float, ...] = (0.01, 0.02, 0.1)) -> torch.Tensor:
