@@ -203,8 +203,9 @@ class Trajectories:
         further = []
         if bool(history.force[:, 2].any()):
             further.append(model.told_by_force(settings, self.physics, poses, history))
-        if history.motion is not None:
-            further.append(log_likelihood_of_motions(model.world_T_object(poses), *history.sensed(), settings))
+        if bool(history.motion_power.any()):
+            there, sensed = model.world_T_object(poses), (history.motion, history.motion_power)
+            further.append(log_likelihood_of_motions(there, *sensed, settings))
         for told in further:
             log_likelihood = log_likelihood + torch.where(torch.arange(len(history)) >= first[:, None], told, 0.0)
         return replace(self, poses=poses, log_likelihood=log_likelihood)

@@ -137,7 +137,8 @@ class ToppledObject:
         """Where poses go by the median of the prior."""
         many, instants = len(some), torch.arange(len(path))
         none, flat = torch.zeros_like(instants), some.new_zeros(len(path), 3)
-        told = History(path, none == 0, instants + 1, instants, flat[:0], none[:0], flat[:0, 0], none, flat)
+        sensed = torch.eye(4).to(some).expand(len(path), 4, 4), flat[:, 0]
+        told = History(path, none == 0, instants + 1, instants, flat[:0], none[:0], flat[:0, 0], none, flat, *sensed)
         given = Trajectories(
             some.new_zeros(many, PHYSICS),
             some.new_zeros(many, len(path), NOISE),

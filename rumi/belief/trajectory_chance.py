@@ -39,7 +39,7 @@ def log_chance(now: Trajectories, log_weights: Float[Tensor, "N"], own: PoseTraj
     alive = log_weights > -math.inf
     gained = now.log_likelihood[alive].flip(-1).cumsum(-1).flip(-1).amax(0)
     worth = now.history.worth()
-    worth[:, Kind.FELT] += _OF_A_MOTION * now.history.sensed()[1]
+    worth[:, Kind.FELT] += _OF_A_MOTION * now.history.motion_power
     worth = worth.flip(0).cumsum(0).flip(0)
     powers = gained.new_tensor(_POWERS)
     bounds = powers[:, None] * gained + (worth @ _log_moments(own).mT).mT

@@ -183,7 +183,7 @@ def _stuck(history: History, sensed: PoseTrajectorySettings) -> float:
         return -math.inf
     worth = history.worth().sum(0)
     bits = worth[Kind.PAD_FELT :].sum()
-    known = math.log1p(-sensed.outliers) * float(bits) + USUAL_NATS * float(history.sensed()[1].sum())
+    known = math.log1p(-sensed.outliers) * float(bits) + USUAL_NATS * float(history.motion_power.sum())
     return known + math.log(sensed.outliers) * float(worth[Kind.FELT]) - math.log(_PATTERNS)
 
 
@@ -215,7 +215,7 @@ def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[
     each = worth.new_zeros(len(Kind))
     each[Kind.FELT] = each[Kind.PAD_FELT] = never
     each[Kind.PAD_CLEAR] = each[Kind.PAD_SILENT] = always
-    dead = float(worth @ each) + USUAL_NATS * float(history.sensed()[1].sum())  # whatever a sensor of motion told
+    dead = float(worth @ each) + USUAL_NATS * float(history.motion_power.sum())  # whatever a sensor of motion told
     return dead + never * float(worth[Kind.SEEN]), dead
 
 

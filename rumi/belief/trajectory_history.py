@@ -10,8 +10,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sdf import se3
-
 NODES = 2001
 """Distances from the surface that the compiled version's log-likelihoods of a kind are a table over; odd, 0 amid."""
 
@@ -66,8 +64,8 @@ class History:
         weight: (M).
         point_ends: (T), point behind each instant's last.
         force: (S, 3), mean force of each segment and what it is worth; 0 where none was measured.
-        motion: (S, 4, 4), sensed motion of each segment, and
-        motion_power: (S), the power to which that is raised, 0 where none was sensed; None where none ever was.
+        motion: (S, 4, 4), sensed motion of each segment; the identity where none was sensed.
+        motion_power: (S), the power to which that is raised, 0 where none was sensed.
         power: to which the last segment's readings are raised; weights have it in them.
     """
 
@@ -80,17 +78,16 @@ class History:
     weight: Float[Tensor, "M"]
     point_ends: Int[Tensor, "T"]
     force: Float[Tensor, "S 3"]
-    motion: Float[Tensor, "S 4 4"] | None = None
-    motion_power: Float[Tensor, "S"] | None = None
+    motion: Float[Tensor, "S 4 4"]
+    motion_power: Float[Tensor, "S"]
     power: float = 1.0
 
     @classmethod
     def empty(cls, numbers: int = 3) -> Self:
         """Nothing yet; of a tool's pose by 3 numbers, in space by 4."""
         none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
-        return cls(
-            flat.view(0, 2, numbers), none.bool(), none, none, flat.view(0, 3), none, flat, none, flat.view(0, 3)
-        )
+        tool, points, motion = flat.view(0, 2, numbers), flat.view(0, 3), flat.view(0, 4, 4)
+        return cls(tool, none.bool(), none, none, points, none, flat, none, points, motion, flat)
 
     def __len__(self) -> int:
         """Number of segments."""
@@ -114,17 +111,10 @@ class History:
         action = count if opens or not count else int(self.action[-1])
         counts = torch.bincount(segment.instant, minlength=instants)
         force = self.force.new_zeros(3) if segment.force is None else segment.force.to(self.force)
-        motion, known = self.motion, self.motion_power
-        if motion is not None or segment.motion is not None:
-            motion, known = self.sensed()
-            own = segment.motion
-            new = se3.identity((), dtype=motion.dtype, device="cpu") if own is None else own.to(motion)
-            motion = torch.cat((motion, new[None]))
-            known = torch.cat((known, known.new_full((1,), float(own is not None))))
+        sensed = segment.motion is not None
+        motion = torch.eye(4).to(self.motion) if segment.motion is None else segment.motion.to(self.motion)
         return replace(
             self,
-            motion=motion,
-            motion_power=known,
             tool=torch.cat((self.tool, segment.tool)),
             pushes=torch.cat((self.pushes, torch.full((instants,), segment.pushes))),
             ends=torch.cat((self.ends, torch.tensor([len(self.tool) + instants]))),
@@ -134,29 +124,23 @@ class History:
             weight=torch.cat((self.weight, segment.weight)),
             point_ends=torch.cat((self.point_ends, len(self.points) + counts.cumsum(0))),
             force=torch.cat((self.force, force[None])),
+            motion=torch.cat((self.motion, motion[None])),
+            motion_power=torch.cat((self.motion_power, self.motion_power.new_full((1,), float(sensed)))),
         )
 
     def tempered(self, power: float) -> Self:
         """The last segment's readings raised to a power."""
         if power == 1.0 or not len(self):
             return self
-        weight, force, known = self.weight.clone(), self.force.clone(), self.motion_power
-        if known is not None:
-            known = torch.cat((known[:-1], power * known[-1:]))
+        weight, force, motion_power = self.weight.clone(), self.force.clone(), self.motion_power.clone()
         weight[self._points_before(len(self) - 1) :] *= power
         force[-1, 2] *= power
-        return replace(self, weight=weight, force=force, motion_power=known, power=power)
+        motion_power[-1] *= power
+        return replace(self, weight=weight, force=force, motion_power=motion_power, power=power)
 
     def unsensed(self) -> Self:
         """The same where no motion was sensed."""
-        return replace(self, motion=None, motion_power=None)
-
-    def sensed(self) -> tuple[Float[Tensor, "S 4 4"], Float[Tensor, "S"]]:
-        """Sensed motions and their powers, 0 where none was ever sensed."""
-        if self.motion is not None and self.motion_power is not None:
-            return self.motion, self.motion_power
-        count = len(self)
-        return se3.identity((count,), dtype=torch.float64, device="cpu"), torch.zeros(count, dtype=torch.float64)
+        return replace(self, motion_power=torch.zeros_like(self.motion_power))
 
     def last(self) -> Self:
         """The last segment alone, as an action of its own."""
@@ -177,8 +161,8 @@ class History:
             weight=self.weight[point:],
             point_ends=self.point_ends[first:] - point,
             force=self.force[segment:],
-            motion=None if self.motion is None else self.motion[segment:],
-            motion_power=None if self.motion_power is None else self.motion_power[segment:],
+            motion=self.motion[segment:],
+            motion_power=self.motion_power[segment:],
         )
 
     def segment(self, number: int) -> Segment:
@@ -194,7 +178,7 @@ class History:
             self.kind[low:high],
             self.weight[low:high],
             self.force[number],
-            self.motion[number] if self.motion is not None and bool(self.sensed()[1][number] > 0) else None,
+            self.motion[number] if bool(self.motion_power[number] > 0) else None,
         )
 
     def moving(self) -> Int[Tensor, "s"]:

@@ -7,14 +7,10 @@ import pytest
 import torch
 
 from rumi.belief.felt_force import log_likelihood_of_forces
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
-from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.dynamics.outline import GridOutline
 from sdf import backend
-from sdf.grid_sdf import GridSDF
-from sdf.primitives import Box
+from tests.fixtures.pushed_square import square, two_at_rest
 
 DOUBLE = {"dtype": torch.float64}
 OWN = PoseTrajectorySettings(force_rad=0.2, outliers=0.01)
@@ -83,27 +79,15 @@ def test_a_history_keeps_tempers_and_counts_forces():
 
 
 def test_a_replay_adds_forces_from_its_first_segment_on_once():
-    box = GridSDF.from_sdf(Box([0.045, 0.045, 0.03]), 0.006)
-    outline = GridOutline.of_slice(box, 0.0).to(torch.zeros(1, **DOUBLE))
-    point = torch.zeros(1, 2, **DOUBLE)
     none = torch.zeros(2, **DOUBLE)
-    square = PushedObject(box, 0.03, outline, none, 0.034, point, torch.zeros(1, 3, **DOUBLE), 0.03)
     history = History.empty().appended(segment()).appended(segment([1.0, 0.5, 1.0]))
-    start = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.01, 0.1]], **DOUBLE)
-    given = Trajectories(
-        torch.zeros(2, PHYSICS, **DOUBLE),
-        torch.zeros(2, 2, NOISE, **DOUBLE),
-        start[:, None].repeat(1, 3, 1),
-        torch.zeros(2, 2, **DOUBLE),
-        history,
-        start,
-    )
+    block, given = square(), two_at_rest(history)
     own = replace(OWN, ahead=(0.0, 0.0))
     with backend.force("torch"):
-        whole = given.replayed(square, own, history, torch.zeros(2, dtype=torch.long))
-        again = whole.replayed(square, own, history, torch.tensor([1, 2]))
+        whole = given.replayed(block, own, history, torch.zeros(2, dtype=torch.long))
+        again = whole.replayed(block, own, history, torch.tensor([1, 2]))
         unfelt = given.replayed(
-            square, own, replace(history, force=0.0 * history.force), torch.zeros(2, dtype=torch.long)
+            block, own, replace(history, force=0.0 * history.force), torch.zeros(2, dtype=torch.long)
         )
     told = log_likelihood_of_forces(whole.poses, none.expand(2, 2), none, history, own)
     torch.testing.assert_close(whole.log_likelihood, unfelt.log_likelihood + told)

@@ -7,17 +7,14 @@ import pytest
 import torch
 
 from rumi.belief.bootstrap_filter import BootstrapFilter
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
-from rumi.belief.pushed_object import PushedObject
+from rumi.belief.pose_trajectories import NOISE
 from rumi.belief.sensed_motion import log_likelihood_of_motions, motion_of, way_sensed
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.dynamics.outline import GridOutline
 from sdf import backend, se3
-from sdf.grid_sdf import GridSDF
-from sdf.primitives import Box
 from tests.fixtures.box_in_space import begin as begin_in_space
 from tests.fixtures.box_in_space import follow
+from tests.fixtures.pushed_square import square, two_at_rest
 from tests.fixtures.readings import make_reading
 
 DOUBLE = {"dtype": torch.float64}
@@ -92,12 +89,12 @@ def test_how_far_the_object_went_is_that_of_the_object_not_of_the_world_s_origin
 
 def test_a_history_keeps_tempers_and_counts_motions():
     one, two = planar([0.01, 0.0, 0.1])[0], planar([0.0, 0.02, 0.0])[0]
-    assert History.empty().appended(segment()).motion is None
+    assert not bool(History.empty().appended(segment()).motion_power.any())
     history = History.empty().appended(segment()).appended(segment(one)).appended(segment(two)).appended(segment())
     torch.testing.assert_close(history.motion[1:3], torch.stack((one, two)))
     torch.testing.assert_close(history.motion_power, torch.tensor([0.0, 1.0, 1.0, 0.0], **DOUBLE))
     torch.testing.assert_close(history.since(2).motion_power, torch.tensor([1.0, 0.0], **DOUBLE))
-    assert not bool(history.worth().any()) and history.unsensed().motion is None
+    assert not bool(history.worth().any()) and not bool(history.unsensed().motion_power.any())
     assert history.segment(0).motion is None and history.segment(3).motion is None
     torch.testing.assert_close(history.segment(2).motion, two)
     short = History.empty().appended(segment(one)).tempered(0.25)
@@ -106,34 +103,14 @@ def test_a_history_keeps_tempers_and_counts_motions():
 
 
 def test_a_replay_adds_motions_from_its_first_segment_on_once():
-    box = GridSDF.from_sdf(Box([0.045, 0.045, 0.03]), 0.006)
-    outline = GridOutline.of_slice(box, 0.0).to(torch.zeros(1, **DOUBLE))
-    square = PushedObject(
-        box,
-        0.03,
-        outline,
-        torch.zeros(2, **DOUBLE),
-        0.034,
-        torch.zeros(1, 2, **DOUBLE),
-        torch.zeros(1, 3, **DOUBLE),
-        0.03,
-    )
     history = History.empty().appended(segment()).appended(segment(planar([0.002, 0.001, 0.03])[0]))
-    start = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.01, 0.1]], **DOUBLE)
-    given = Trajectories(
-        torch.zeros(2, PHYSICS, **DOUBLE),
-        torch.zeros(2, 2, NOISE, **DOUBLE),
-        start[:, None].repeat(1, 3, 1),
-        torch.zeros(2, 2, **DOUBLE),
-        history,
-        start,
-    )
+    block, given = square(), two_at_rest(history)
     from_start = torch.zeros(2, dtype=torch.long)
     with backend.force("torch"):
-        whole = given.replayed(square, OWN, history, from_start)
-        again = whole.replayed(square, OWN, history, torch.tensor([1, 2]))
-        untold = given.replayed(square, OWN, replace(history, motion=None, motion_power=None), from_start)
-    told = log_likelihood_of_motions(square.world_T_object(whole.poses), history.motion, history.motion_power, OWN)
+        whole = given.replayed(block, OWN, history, from_start)
+        again = whole.replayed(block, OWN, history, torch.tensor([1, 2]))
+        untold = given.replayed(block, OWN, history.unsensed(), from_start)
+    told = log_likelihood_of_motions(block.world_T_object(whole.poses), history.motion, history.motion_power, OWN)
     torch.testing.assert_close(whole.log_likelihood, untold.log_likelihood + told)
     assert bool((told[:, 1] < 0).all()) and not bool(told[:, 0].any())
     torch.testing.assert_close(again.log_likelihood, whole.log_likelihood)
