@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.errors import DegenerateBeliefError
@@ -21,7 +21,8 @@ from sensors.evidence import EvidenceSet
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
 CHUNK_BYTES = 64 * 2**20
-_TEMPORARIES = 80  # numbers of a pair that live at once: a product of rotations, and what its angle needs
+_TEMPORARIES = 12  # numbers of a pair that live at once
+_ROUNDING = 1e-12  # of squared distances
 
 
 # a particle that pads a belief weighs nothing
@@ -83,18 +84,18 @@ class PoseBelief:
         """
         pose = self.world_T_object
         count, batch = pose.shape[-3], pose.shape[:-3]
+        # the nine numbers of two rotations by an angle t are 2 sqrt(2) sin(t / 2) apart
+        place, turn = (pose[..., :3, 3] - pose[..., :1, :3, 3]).double(), pose[..., :3, :3].flatten(-2).double()
+        apart = 2.0 * math.sqrt(2.0) * math.sin(0.5 * radius_rad) if radius_rad < math.pi else math.inf
         rows = max(1, CHUNK_BYTES // (pose.element_size() * _TEMPORARIES * max(1, count * math.prod(batch))))
         most: Tensor | None = None
         chosen: Tensor | None = None
         for first in range(0, count, rows):
-            part = pose[..., first : first + rows, :, :]
-            table = (*part.shape[:-2], *pose.shape[-3:])
-            metres, radians = se3.distance(
-                part[..., :, None, :, :].expand(table), pose[..., None, :, :, :].expand(table)
-            )
-            near = ((metres <= radius_m) & (radians <= radius_rad)).to(pose.dtype) * self.weights[..., None, :]
+            some = slice(first, first + rows)
+            near = _within(place[..., some, :], place, radius_m) & _within(turn[..., some, :], turn, apart)
+            near = near.to(pose.dtype) * self.weights[..., None, :]
             # ties go to the heavier particle, and then to the first
-            score, best = (near.sum(-1) + 1e-6 * self.weights[..., first : first + rows]).max(-1)
+            score, best = (near.sum(-1) + 1e-6 * self.weights[..., some]).max(-1)
             index = best[..., None, None].expand(*best.shape, 1, count)
             own = torch.gather(near, -2, index)[..., 0, :]
             if most is None or chosen is None:
@@ -178,6 +179,12 @@ class PoseBelief:
             discrepancy=self.discrepancy.to(device=device, dtype=dtype),
             evidence=None if self.evidence is None else self.evidence.to(device, dtype),
         )
+
+
+def _within(some: Float[Tensor, "*b n D"], every: Float[Tensor, "*b N D"], radius: float) -> Bool[Tensor, "*b n N"]:
+    """Which of all points are within a radius of each of some, by their products, float64."""
+    squares = some.square().sum(-1)[..., None] + every.square().sum(-1)[..., None, :]
+    return squares - 2.0 * (some @ every.mT) <= radius * radius + _ROUNDING
 
 
 def subsample(belief: PoseBelief, count: int) -> PoseBelief:

@@ -14,24 +14,22 @@ from torch import Tensor
 
 from rumi.belief.frictions import Frictions
 from rumi.belief.particles import PoseBelief
+from rumi.belief.reading_fit import felt_heights, unexplained
 from rumi.dynamics.outline import Base
 from rumi.dynamics.push_limits import held_twice, tips
 from rumi.dynamics.pushed_body import PushedBody
 from rumi.dynamics.sliding import rotated
 from rumi.resampling import systematic
 from sdf import se3
-from sdf.base import SDF
 from sdf.object_model import ObjectModel
 from sdf.symmetry import Symmetries
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
-_ON_M, _TOUCHES_M = 0.006, 0.001  # a felt point this near a pad is the pad's; a pad this near the object feels it
 _ASKED = 9  # poses that stand for equal shares of the belief
 _AT_ODDS = {"not there", "elsewhere", "other height", "lost"}
 _DRAWN = 64  # the same where frictions differ from one to the next
-_BEST = 5  # particles of least discrepancy that are asked: one that explains a reading is enough
 
 
 @dataclass(frozen=True)
@@ -131,43 +129,6 @@ def nearest_to_floor(world_T_object: Float[Tensor, "N 4 4"], surface_points: Flo
     return float(lowest[lowest.abs().argmin()])
 
 
-def felt_heights(
-    reading: Reading, world_T_object: Float[Tensor, "N 4 4"], pads: Float[Tensor, "P 3"], sdf: SDF
-) -> tuple[float, float, float, float] | None:
-    """Heights at which the pads feel the object, and at which the particle that explains them best has them feel it.
-
-    An object that lies where it is believed to stand is felt low on the pads alone, one that was lifted high on them.
-
-    Args:
-        reading: of an action.
-        world_T_object: of the particles, at its last instant.
-        pads: points of the pads' surface, tool frame.
-        sdf: of the object.
-
-    Returns:
-        lowest and highest point felt at the last instant, and lowest and highest point of the pads that touches the
-        object there by a particle; metres; None where nothing was felt, or no particle has the pads touch it.
-    """
-    last = (reading.instant == len(reading.in_contact) - 1) & reading.observation.of_class(Semantics.SURFACE)
-    places = se3.apply(reading.tool_pose[-1].to(pads), pads).to(world_T_object)
-    felt = reading.observation.points[last].to(places)
-    felt = felt[torch.cdist(felt, places).amin(-1) < _ON_M] if len(felt) else felt  # a camera sees others
-    if not bool(reading.in_contact[-1]) or not len(felt):
-        return None
-    with torch.no_grad():
-        touches = sdf.distance(se3.apply(se3.inverse(world_T_object), places)) < _TOUCHES_M
-    some = touches.any(-1)
-    if not bool(some.any()):
-        return None
-    heights, touches = places[:, 2], touches[some]
-    low = torch.where(touches, heights, math.inf).amin(-1)
-    high = torch.where(touches, heights, -math.inf).amax(-1)
-    bottom, top = float(felt[:, 2].min()), float(felt[:, 2].max())
-    off = torch.maximum((bottom - low).abs(), (top - high).abs())
-    best = int(off.argmin())
-    return bottom, top, float(low[best]), float(high[best])
-
-
 def tipping(
     reading: Reading,
     belief: PoseBelief,
@@ -235,37 +196,6 @@ def gripped(reading: Reading, belief: PoseBelief, body: PushedBody, limits: Limi
     return 2 * int(held_twice(poses, tool, body).sum()) > _ASKED
 
 
-def unexplained(belief: PoseBelief, added: Observation, sdf: SDF) -> tuple[float, float]:
-    """Distances that the best particles leave between what is believed and what a reading added, metres.
-
-    Args:
-        belief: after the reading.
-        added: its new points, in the frame that rides with the object.
-        sdf: of the object.
-
-    Returns:
-        of the particle that explains most: how far the middle one of the surface points is from its surface, and how
-        deep a free point is inside; 0 without such points.
-    """
-    cost = belief.discrepancy
-    # trajectories count by their likelihoods, and their costs are all 0: none is known to be best, so all are asked
-    count = len(cost) if bool((cost == cost[0]).all()) else min(_BEST, len(cost))
-    best = cost.topk(count, largest=False).indices
-    object_T_attached = se3.inverse(belief.attached_T_object[best])
-    rides = added.valid & added.attached
-    pairs = []
-    with torch.no_grad():
-        surface, free = (
-            sdf.distance(se3.apply(object_T_attached, added.points[rides & added.of_class(kind)]))
-            for kind in (Semantics.SURFACE, Semantics.FREE)
-        )
-    for felt, inside in zip(surface, free, strict=True):
-        off = float(felt.abs().median()) if len(felt) else 0.0
-        deep = float((-inside).max().clamp_min(0.0)) if len(inside) else 0.0
-        pairs.append((off, deep))
-    return min(pairs, key=max)
-
-
 def remarks(
     step: int,
     reading: Reading,
@@ -322,7 +252,7 @@ def remarks(
         found.append(
             ("two contacts", "the tool touches the object at two sides: how it moves then, no push model knows")
         )
-    off, deep = (1e3 * metres for metres in unexplained(belief, added, model.sdf))
+    off, deep = (1e3 * metres for metres in unexplained(belief, added, model.sdf, limits.apart_m))
     if deep > 1e3 * limits.apart_m:
         inside = f"the tool went {deep:.0f} mm deep into where the object is believed to be"
         found.append(("not there", f"{inside}, and felt nothing"))

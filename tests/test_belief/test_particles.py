@@ -111,6 +111,20 @@ def test_to_changes_dtype():
     assert belief().to(dtype=torch.float32).log_weights.dtype == torch.float32
 
 
+@pytest.mark.parametrize("radii", [(0.05, 0.3), (0.0, 0.0), (0.2, 3.0), (0.1, math.pi), (10.0, 4.0)])
+@pytest.mark.parametrize("away_m, kind", [(0.0, F64), (0.0, torch.float32), (1e4, F64)])
+def test_the_mode_holds_all_within_both_radii_of_its_particle(radii, away_m, kind):
+    start = belief(count=40)
+    away = se3.make(torch.eye(3, dtype=F64), torch.tensor([away_m, -away_m, 0.0], dtype=F64))
+    start = start.moved(away).to(dtype=kind)
+    poses = start.world_T_object
+    metres, radians = se3.distance(poses[:, None], poses[None])
+    near = (metres <= radii[0] + 1e-9) & (radians <= radii[1] + 1e-6)
+    near = near.to(kind) * start.weights
+    best = near[(near.sum(-1) + 1e-6 * start.weights).argmax()]
+    torch.testing.assert_close(start.mode(*radii), se3.mean(poses, best / best.sum()), rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize("batch", [(), (3,)])
 @pytest.mark.parametrize("kind", ["random", "equal"])
 def test_the_mode_by_chunks_is_the_mode(batch, kind, monkeypatch):
