@@ -55,8 +55,6 @@ _AN_INSTANT, _PADS = 2, 2  # instants that a brief contact lasts at most, and pa
 _UNMET_M = 0.012  # from the surface of every particle: what is felt there is felt by none
 _STRAINED = 15.0  # nats that an action is unlikely by, from which on the push model is asked about
 _USUAL = 0.5  # share of the actions of a wrong push model that look as usual
-_STUCK_M, _LONG = 0.002, 5  # how far what a stuck hand feels wanders on it, and for how many instants
-_PATTERNS = 100.0  # that a hand may be stuck in, as likely
 _HIDDEN = 0.05  # chance that a camera sees nothing of an object that is there
 _ALIKE = 0.001  # chance that something that stands in the way is felt alike all the way
 
@@ -77,6 +75,7 @@ def log_ratios(
     *,
     generator: torch.Generator,
     looks: tuple[Reading, Reading] | None = None,
+    stuck: float = -math.inf,
 ) -> Float[Tensor, "K"]:
     """Log-likelihood ratio of each of `TRAJECTORY_FAULTS` against the belief, nats; 0 where a reading tells nothing.
 
@@ -88,8 +87,9 @@ def log_ratios(
         own: how far a knock goes, and how often a contact means nothing even so.
         generator: of the draws.
         looks: the readings before and of the action, where a camera looks after every action; None else.
+        stuck: log-likelihood ratio of a stuck hand (`stuck_hand.log_ratio`).
     """
-    told = dict.fromkeys(TRAJECTORY_FAULTS, 0.0)
+    told = dict.fromkeys(TRAJECTORY_FAULTS, 0.0) | {"stuck hand": stuck}
     new = new_segments(before, after)
     if not new:
         return _tensor(told)
@@ -113,12 +113,11 @@ def log_ratios(
         told |= {
             "false contacts": _false(len(unmet), own, stated_false(history, sensed)),
             "push model off": math.log(_USUAL),
-            "stuck hand": _stuck(history, sensed) - none,
             "second object": math.log1p(-_FALSE),
         }
         if len(unmet) > 2:
             beside = _beside(before, log_weights, history, unmet, pose_filter, generator)
-            alike = math.log(_ALIKE) if told["stuck hand"] > -math.inf else 0.0
+            alike = math.log(_ALIKE) if stuck > 0 else 0.0
             told["second object"] = math.log(_FALSE) + alike + beside - none
     repeated = looks is not None and _repeats(*looks, pose_filter)
     if not repeated:
@@ -165,26 +164,6 @@ def _repeats(last: Reading, reading: Reading, pose_filter: PoseTrajectoryFilter)
     old = besides(old, reading.tool_pose[-1], pose_filter.model, pose_filter.own)
     new = besides(new, last.tool_pose[-1], pose_filter.model, pose_filter.own)
     return len(old) > 0 and old.points.equal(new.points)
-
-
-def _stuck(history: History, sensed: PoseTrajectorySettings) -> float:
-    """Log-likelihood of a reading by a hand that feels the same all the time; -inf where it does not."""
-    tool, pushed = history.tool[:, 1], history.pushes.nonzero()[:, 0]
-    places = []
-    for instant in pushed.tolist():
-        points = _felt_at(history, instant)
-        if not len(points):
-            return -math.inf
-        places.append(_on_hand(points, tool[instant]))
-    if len(places) < _LONG:
-        return -math.inf
-    own = torch.stack(places)
-    if float((own - own.median(0).values).norm(dim=-1).max()) > _STUCK_M:
-        return -math.inf
-    worth = history.worth().sum(0)
-    bits = worth[Kind.PAD_FELT :].sum()
-    known = math.log1p(-sensed.outliers) * float(bits) + USUAL_NATS * float(history.motion_power.sum())
-    return known + math.log(sensed.outliers) * float(worth[Kind.FELT]) - math.log(_PATTERNS)
 
 
 def _beside(

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief import rival_filters, trajectory_faults
+from rumi.belief import rival_filters, stuck_hand, trajectory_faults
 from rumi.belief.change_test import ChangeTest
 from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
@@ -113,7 +113,8 @@ def watch(
     shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
     names, test = [name for name, _ in shares], ChangeTest(tuple(share for _, share in shares), own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
-    of_action = _ratios(last, record, pose_filter, model, own, generator, looks_again)
+    steps = (*history, record) if history else (last, record)
+    of_action = _ratios(steps, pose_filter, model, own, generator, looks_again)
     strange = follows(pose_filter) and own.recover and float(of_action[names.index("false contacts")]) > _TELLS
     rivals, static = before.rivals, before.static
     if follows(pose_filter) and open_yet and not strange:
@@ -143,7 +144,8 @@ def watch(
         return replace(after, set_aside=strange), None
     name, chance = named(chances)
     clear = sum(chances[each] for each in SEARCHED) if name in SEARCHED else chance
-    if clear < _CLEAR and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
+    repeats = name != "stuck hand" and "stuck hand" in names and float(ratios[names.index("stuck hand")]) > _TELLS
+    if (clear < _CLEAR or repeats) and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
         tells = bool((ratios.abs() > _TELLS).logical_and(ratios.isfinite()).any())
         return replace(after, waited=after.waited + tells), None
     if before.lost and (name in UNFELT or not bool(record.reading.in_contact.any())):
@@ -273,15 +275,15 @@ def _beside(last: StepRecord, record: StepRecord, pose_filter: PoseFilter) -> fl
 
 
 def _ratios(
-    last: StepRecord,
-    record: StepRecord,
+    steps: Sequence[StepRecord],
     pose_filter: PoseFilter,
     model: ObjectModel,
     own: MisfitSettings,
     generator: torch.Generator,
     looks_again: bool,
 ) -> Float[Tensor, "K"]:
-    """Log-likelihood ratios of a step's reading, of each of `faults_of`."""
+    """Log-likelihood ratios of the last step's reading, of each of `faults_of`."""
+    *_, last, record = steps
     added = sensed_now(record, pose_filter.settings.motion)
     rides = pose_filter.settings.motion == "measured" and pose_filter.prior is None
     asked = replace(last.belief, world_T_attached=record.belief.world_T_attached) if rides else record.belief
@@ -289,8 +291,12 @@ def _ratios(
     before, after = last.belief, record.belief
     if not (isinstance(before, PoseTrajectoryBelief) and isinstance(after, PoseTrajectoryBelief)):
         return found
+    assert isinstance(pose_filter, PoseTrajectoryFilter)
+    anywhere = float(found[MISFITS.index("none of these")])
+    readings = [step.reading for step in steps]
+    stuck = stuck_hand.log_ratio(readings, pose_filter.model, pose_filter.own, anywhere=anywhere)
     if not follows(pose_filter):
-        return found
+        return torch.cat((found, found.new_tensor([stuck])))
     assert before.trajectories is not None and after.trajectories is not None
     told = trajectory_faults.log_ratios(
         before.trajectories,
@@ -300,5 +306,6 @@ def _ratios(
         own,
         generator=generator,
         looks=(last.reading, record.reading) if looks_again else None,
+        stuck=stuck,
     )
     return torch.cat((told, found[MISFITS.index("none of these") :]))
