@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from rumi.belief.silence_numba import SILENT, told_by_silence
+from rumi.belief.trajectory_likelihood import FACING, FACING_M
 from rumi.dynamics.sliding_numba import settled, slope, turned, value
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import between, fast, lattice_of
@@ -64,6 +65,37 @@ def _readings(first, last, pose, worn, points, weight, row, logs, inverse, flat,
         found = distance_at(cos * dx + sin * dy, cos * dy - sin * dx, at(points, 2 * count + m), flat, lattice)
         total += at(weight, m) * between(found * inverse + half, top, priced, at(row, m))
     return total
+
+
+@fast
+def _seen(first, last, pose, worn, toward, points, weight, row, logs, inverse, flat, lattice):
+    """The same of points that a camera saw, of their distances from the surface that faces it."""
+    x, y, cos, sin = pose
+    step_x, step_y, step_z = toward
+    count, nodes = len(weight), logs.shape[1]
+    priced = logs.reshape(-1)
+    half, top = np.float32(0.5 * (nodes - 1)) + worn * inverse, np.float32(nodes - 1.01)
+    total = np.float32(0.0)
+    for m in range(first, last):
+        dx, dy, z = at(points, m) - x, at(points, count + m) - y, at(points, 2 * count + m)
+        place_x, place_y = cos * dx + sin * dy, cos * dy - sin * dx
+        now, gone, goes = distance_at(place_x, place_y, z, flat, lattice), np.float32(0.0), True
+        for turn in range(1, FACING + 1):
+            way = np.float32(turn)
+            ahead = distance_at(place_x + way * step_x, place_y + way * step_y, z + way * step_z, flat, lattice)
+            goes = goes and ahead < now
+            now = ahead if goes else now
+            gone = way * np.float32(FACING_M) if goes else gone
+        total += at(weight, m) * between((now - gone) * inverse + half, top, priced, at(row, m))
+    return total
+
+
+@bare
+def _toward(x, y, cos, sin, eye):
+    """A step from the object towards the camera, in the object's frame."""
+    dx, dy, dz = eye[0] - x, eye[1] - y, eye[2]
+    size = FACING_M / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
+    return np.float32(size * (cos * dx + sin * dy)), np.float32(size * (cos * dy - sin * dx)), np.float32(size * dz)
 
 
 @bare
@@ -144,7 +176,7 @@ def _sensed(x, y, yaw, taken, seen, errors):
 
 
 @bare
-def _one(n, particles, done, sensed, shape, scales, logs, errors, flat, lattice):
+def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lattice):
     """One particle, from its own segment on; what cannot reach its least log-likelihood any more is given up."""
     first, least, poses, found, physics, noises = particles
     path, pushes, ends, action, point_ends = done
@@ -189,6 +221,13 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, flat, lattice)
                 behind = last
                 while behind > point and row[behind - 1] == SILENT:
                     behind -= 1
+                if len(eye) > 0 and row[point] == 0:  # what was seen comes first
+                    shown = point
+                    while shown < behind and row[shown] == 0:
+                        shown += 1
+                    toward = _toward(at_x, at_y, math.cos(turned), math.sin(turned), eye)
+                    log += _seen(point, shown, pose, thin, toward, points, weight, row, logs, inverse, flat, lattice)
+                    point = shown
                 log += _readings(point, behind, pose, thin, points, weight, row, logs, inverse, flat, lattice)
                 if behind < last:
                     told = _readings(behind, last, pose, thin, points, weight, row, logs, inverse, flat, lattice)
@@ -202,10 +241,10 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, flat, lattice)
         total += log
 
 
-def _replay(particles, done, sensed, shape, scales, logs, errors, grid, part):
+def _replay(particles, done, sensed, shape, scales, logs, errors, eye, grid, part):
     lattice = lattice_of(grid[1], grid[2])
     for n in indices(part, len(particles[0])):
-        _one(np.int64(n), particles, done, sensed, shape, scales, logs, errors, grid[0], lattice)
+        _one(np.int64(n), particles, done, sensed, shape, scales, logs, errors, eye, grid[0], lattice)
 
 
 replay = Kernel(_replay)

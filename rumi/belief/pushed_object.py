@@ -233,5 +233,8 @@ def _replay_numba(
     grid = grid_arguments(model.sdf, torch.float32)
     scales = torch.cat((scales, scales.new_tensor([own.centre_change_m, own.least_m, own.missed, history.power])))
     errors = SystematicErrors.of(own, given.systematic).table if own.systematic else scales.new_zeros(0, 6)
-    kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), errors.numpy(), grid)
+    eye = scales.new_zeros(0) if own.eye_m is None else scales.new_tensor(own.eye_m)
+    if own.eye_m is not None:
+        eye[2] -= model.resting_m
+    kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), errors.numpy(), eye.numpy(), grid)
     return poses, found

@@ -223,7 +223,7 @@ def _replay_numba(
 ) -> tuple[Tensor, Tensor]:
     from sdf.grid_sdf import GridSDF
 
-    if not isinstance(model.sdf, GridSDF):
+    if not isinstance(model.sdf, GridSDF) or own.eye_m is not None:
         return replay_plain(model, own, history, given, first, least)
     from rumi.belief.toppled_object_numba import replay as kernel
     from sdf.grid_numba import grid_arguments

@@ -14,9 +14,34 @@ from rumi.belief.trajectory_history import NODES, History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import Sliding
 from sdf import backend
+from sdf.base import SDF
 
 # compiled versions look likelihoods up over distances: metres between nodes
 _STEP_M = 3e-5
+
+FACING_M, FACING = 0.001, 5
+"""Steps towards a camera in which the side of a wall that faces it is looked for, and how many."""
+
+
+def facing_distance(sdf: SDF, points: Float[Tensor, "N M 3"], eye: Float[Tensor, "N 3"]) -> Float[Tensor, "N M"]:
+    """Signed distance of seen points from the surface that faces the camera, metres, below 0 behind it.
+
+    What is seen through noise may come to lie behind a thin wall, whose far side is nearer then. As long as the surface
+    comes nearer on the way to the camera, another one is in between.
+
+    Args:
+        sdf: of the object.
+        points: in its frame.
+        eye: of the camera, in its frame; it is far, so that all points see it in one direction.
+    """
+    step = FACING_M * torch.nn.functional.normalize(eye, dim=-1)[:, None]
+    now = sdf.distance(points.to(sdf.bounds)).to(points)
+    gone, open_yet = torch.zeros_like(now), torch.ones_like(now, dtype=torch.bool)
+    for turn in range(1, FACING + 1):
+        ahead = sdf.distance((points + turn * step).to(sdf.bounds)).to(points)
+        open_yet = open_yet & (ahead < now)
+        now, gone = torch.where(open_yet, ahead, now), torch.where(open_yet, turn * FACING_M, gone)
+    return now - gone
 
 
 def log_likelihood_of(
@@ -84,6 +109,10 @@ def replay_plain(
                 seen = history.kind[begin] == Kind.SEEN
                 taken = errors.seen(pose) if seen else errors.felt(pose, history.tool[instant, 1])
             distance = model.sdf.distance(model.local(taken, there).to(model.sdf.bounds)).to(pose)
+            if own.eye_m is not None and bool((shown := history.kind[some] == Kind.SEEN).any()):
+                eye = pose.new_tensor(own.eye_m) - pose.new_tensor((0.0, 0.0, model.resting_m))
+                local = model.local(taken, torch.cat((there[shown], eye[None])))
+                distance[:, shown] = facing_distance(model.sdf, local[:, :-1], local[:, -1])
             if errors is not None:
                 distance = distance + errors.worn_m[:, None]
             each = log_likelihood_of(distance, history.kind[some], own) * history.weight[some]

@@ -97,6 +97,8 @@ class PoseTrajectorySettings:
         tool_off_m, tool_off_rad: deviations of where the tool is taken to be in a run, along each axis, and of its yaw.
         worn: mean and deviation of how much deeper the object's surface lies than its model's, in metres.
         view_off_m: deviation of where a camera has the object in a run, along each axis.
+        eye_m: where the camera is, in the plane: what it sees is on the side of a wall that faces it. None where nobody
+            knows, so that it may be on either.
         most: points that are kept of a view, the free ones of it, and of a segment's felt points and pads.
     """
 
@@ -161,6 +163,7 @@ class PoseTrajectorySettings:
     tool_off_rad: float = 0.0
     worn: tuple[float, float] = (0.0, 0.0)
     view_off_m: float = 0.0
+    eye_m: tuple[float, float, float] | None = None
     most: tuple[int, int, int, int] = (500, 250, 60, 120)
 
     def for_others(self) -> Self:
@@ -227,7 +230,7 @@ class PoseTrajectorySettings:
         """Refuse what has no meaning."""
         for part in fields(self):
             value = getattr(self, part.name)
-            if value is None:
+            if value is None or part.name == "eye_m":
                 continue
             for number in value if isinstance(value, tuple) else (value,):
                 if not 0 <= number < math.inf:
@@ -248,6 +251,8 @@ class PoseTrajectorySettings:
         for name in (*whole, *positive):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if self.eye_m is not None and not all(map(math.isfinite, self.eye_m)):
+            raise ValueError(f"Expected eye_m to be finite, got {self.eye_m}")
         if min(self.most) < 1 or self.friction[0] == 0 or self.lever_ratio[0] == 0:
             raise ValueError("Expected most, and the medians of friction and lever_ratio, to be above 0")
         if self.shared > 1 or not 0 < self.outliers < 0.5:

@@ -46,6 +46,7 @@ from rumi.tasks.rummage.motions import (
     pushed_motion,
     trajectory_filter,
     unsteady,
+    with_eye,
 )
 from rumi.tasks.rummage.objects import with_object
 from rumi.tasks.rummage.scene_spec import TaskSpec
@@ -84,6 +85,7 @@ def build(
     if dtype != torch.float32:
         task = TaskOnDevice(task, torch.device("cpu"), dtype)
     said = conditions_of(settings.simulator, settings.conditions)
+    settings = replace(settings, filter=with_eye(spec, settings.filter))
     return Parts(task, replace(build_rummager(spec, settings, model, tool), steps=spec.steps, conditions=said))
 
 

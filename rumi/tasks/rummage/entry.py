@@ -178,7 +178,7 @@ class RummageTask(Rummaging):
     def agent(self, settings: Settings, *, cache_dir: Path | None = None) -> Rummager:
         """What finds the object; it plans by the simplest means, and believes as the run did."""
         from rumi.tasks.rummage.build import build_rummager
-        from rumi.tasks.rummage.motions import followed, predicts_motion
+        from rumi.tasks.rummage.motions import followed, predicts_motion, with_eye
         from rumi.tasks.rummage.objects import with_object
         from rumi.tasks.rummage.scenes import make_tool
         from rumi.tasks.rummage.tool_height import at_tool_height
@@ -189,7 +189,8 @@ class RummageTask(Rummaging):
         # what plans is not used, and may need packages that are not there; but a motion may be the push model's
         if not predicts_motion(followed(spec, settings)):
             settings = replace(settings, planner=replace(settings.planner, push_model="displacement"))
-        return build_rummager(spec, replace(settings, method="rumi"), model, tool)
+        settings = replace(settings, method="rumi", filter=with_eye(spec, settings.filter))
+        return build_rummager(spec, settings, model, tool)
 
 
 ENTRIES = {name: RummageTask(spec) for name, spec in (SCENES | DRAWN).items()}

@@ -35,7 +35,6 @@ _FROM_TARGET_M = 0.17  # of the point that a camera is calibrated by: how far th
 # the length that each instant of a push counts as beside its step
 _WIDER, _LEAST_M = 1.5, 0.0015
 _FIRST = 3000  # particles of a first touch
-_NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points draw a thin wall so far to the camera
 # push model of plans of guarded moves in space, and what they weigh pushes and reach by
 _CARRIED, _PUSH_SCALE, _REACH_SCALE = "displacement", 1.0, 0.5
 _SHARPNESS = 300.0  # 1/m, of the sensor model that plans of guarded moves in space go by: as sharp as pads are
@@ -163,16 +162,17 @@ def as_inexact(
     build, sensors, pads = simulator.build, simulator.sensors, simulator.pads
     half_m = 0.25 * float((bounds[1] - bounds[0])[:2].sum())
     calibration = math.hypot(sensors.calibration_m, _FROM_TARGET_M * sensors.calibration_rad) / math.sqrt(3.0)
-    drawn_near = _NEARER * sensors.depth_noise_m / math.sqrt(2.0)
     worn = math.hypot(build.worn_m / math.sqrt(12.0), half_m * build.scale / math.sqrt(3.0))
     known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
     wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
+    noise_m = 0.0 if own.eye_m is None else sensors.depth_noise_m  # else the nearer side of a wall hides it
     return replace(
         _as_sensed(own.freer(wider), simulator),
         tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
         tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
         worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], worn)),
-        view_off_m=math.hypot(own.view_off_m, calibration, drawn_near),
+        view_off_m=math.hypot(own.view_off_m, calibration),
+        seen_sd_m=math.hypot(own.seen_sd_m, noise_m),
         first_particles=own.first_particles if known else max(own.first_particles, _FIRST),
         missed=max(own.missed, pads.missed),
         dead=max(own.dead, pads.dead),
@@ -181,6 +181,14 @@ def as_inexact(
         centre_m=math.hypot(own.centre_m, build.com_m / math.sqrt(5.0)),
         least_m=max(own.least_m, least_m),
     )
+
+
+def with_eye(spec: TaskSpec, settings: FilterSettings) -> FilterSettings:
+    """The settings with the place of a task's camera, where they have none and the object is followed in the plane."""
+    own = settings.trajectories
+    if spec.camera is None or own.eye_m is not None or not is_planar(spec):
+        return settings
+    return replace(settings, trajectories=replace(own, eye_m=spec.camera.position))
 
 
 def trajectory_filter(
