@@ -35,6 +35,7 @@ from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build, build_rummager
+from rumi.tasks.rummage.motions import with_eye
 from rumi.tasks.rummage.scenes import find_task, make_tool
 from rumi.tasks.rummage.settings import Settings, from_dict
 from rumi.tasks.touch_box.agent import Toucher, TouchState
@@ -240,6 +241,7 @@ def folder(options: Folder) -> None:
         recorded = load_run(path)
         settings = from_dict(recorded.settings)
         spec = find_task(settings.task)
+        settings = replace(settings, filter=with_eye(spec, settings.filter))
         model = spec.object_factory()
         tool = make_tool(spec, settings.simulator, cache_dir=cache_folder())
         rummager = build_rummager(spec, settings, model, tool)

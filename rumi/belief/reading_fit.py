@@ -29,8 +29,8 @@ def unexplained(belief: PoseBelief, added: Observation, sdf: SDF, enough_m: floa
         enough_m: a particle that leaves no more than this explains the reading: no further one is asked.
 
     Returns:
-        of the particle that explains most: how far the middle one of the surface points is from its surface, and how
-        deep a free point is inside; 0 without such points.
+        of the particle that explains most, among those that were asked: how far the middle one of the surface points is
+        from its surface, and how deep a free point is inside; 0 without such points.
     """
     cost = belief.discrepancy
     rides = added.valid & added.attached

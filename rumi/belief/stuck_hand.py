@@ -8,6 +8,7 @@ which it felt nothing at some instant, so that few or large taxels raise no alar
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,16 +24,27 @@ from sensors.reading import Reading
 _STUCK = 0.99  # chance that the same points feel again, of a hand that is stuck
 _SAME, _OTHER = 1.0, 9.0  # pairs of a hand that is right which the run begins with: the same points, and others
 _APART_M = 0.002  # that they moved meanwhile: what stands still feels the same
-_COUNTED = 5  # pairs of one action that tell: a steady push may go on as it began
+_COUNTED = 3  # pairs of one action that tell: a steady push may go on as it began, and is no alarm by itself
 
 
-def log_ratio(
-    readings: Sequence[Reading], model: Pushed, own: PoseTrajectorySettings, *, anywhere: float = 0.0
-) -> float:
-    """Log-likelihood ratio of the last action by a stuck hand, nats; -inf where it felt nothing at an instant of it.
+class Told(NamedTuple):
+    """What an action tells of a stuck hand, log-likelihood ratios in nats.
+
+    Attributes:
+        repeated: by how often it repeated itself; 0 without a pair of instants to compare, -inf where it felt nothing
+            at an instant.
+        ratio: that, and by where what it felt is.
+    """
+
+    repeated: float
+    ratio: float
+
+
+def told_by(readings: Sequence[Reading], model: Pushed, own: PoseTrajectorySettings, *, anywhere: float = 0.0) -> Told:
+    """What the last action tells of a stuck hand.
 
     Args:
-        readings: of the run so far; with the last instant of the action before the last one's first is compared.
+        readings: of the run so far. The action's first instant is compared with the last one before it, too.
         model: of the hand's pads.
         own: of the sensors.
         anywhere: log-likelihood ratio of the action where what is felt may be anywhere; a stuck hand feels there, or
@@ -41,11 +53,13 @@ def log_ratio(
     *earlier, last = readings
     felt, tool = felt_pads(last, model, own), last.tool_pose
     if not bool(felt.any(-1).all()):
-        return -math.inf
+        return Told(-math.inf, -math.inf)
     if earlier and bool(earlier[-1].in_contact[-1]):
         felt = torch.cat((felt_pads(earlier[-1], model, own)[-1:], felt))
         tool = torch.cat((earlier[-1].tool_pose[-1:], tool))
     same, moved = _repeated(felt, tool, model.pads)
+    if not moved:
+        return Told(0.0, 0.0)
     right, pairs = _SAME, _SAME + _OTHER
     for reading in earlier:
         if bool(reading.in_contact.any()) and not bool(reading.in_contact.all()):
@@ -54,16 +68,25 @@ def log_ratio(
     chance = right / pairs
     told = min(same, _COUNTED) * math.log(_STUCK / chance)
     told += (moved - same) * math.log((1.0 - _STUCK) / (1.0 - chance))
-    return told + float(np.logaddexp(0.0, anywhere)) - math.log(2.0)
+    return Told(told, told + float(np.logaddexp(0.0, anywhere)) - math.log(2.0))
 
 
 def _repeated(felt: Bool[Tensor, "K m"], tool: Float[Tensor, "K 4 4"], pads: Float[Tensor, "m 3"]) -> tuple[int, int]:
-    """Pairs of instants at which the same points felt, and all pairs, of those between which what felt moved."""
+    """Pairs of instants at which the same points felt, and all pairs; each from the last one that what felt moved off.
+
+    Instants may lie close together: each is compared with the last one from which what felt there has moved far enough.
+    """
     same = moved = 0
-    for before, after, start, end in zip(felt, felt[1:], tool.double(), tool[1:].double(), strict=False):
-        if bool(before.any()) and bool(after.any()) and _went(pads[before], start, end) >= _APART_M:
+    last: int | None = None
+    for now in range(len(felt)):
+        if not bool(felt[now].any()):
+            last = None
+        elif last is None:
+            last = now
+        elif _went(pads[felt[last]], tool[last].double(), tool[now].double()) >= _APART_M:
             moved += 1
-            same += bool((before == after).all())
+            same += bool((felt[last] == felt[now]).all())
+            last = now
     return same, moved
 
 

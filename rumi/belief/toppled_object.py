@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.systematic_errors import SystematicErrors
-from rumi.belief.trajectory_history import History, arrays_of
+from rumi.belief.trajectory_history import History, Kind, arrays_of
 from rumi.belief.trajectory_likelihood import replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
@@ -223,7 +223,8 @@ def _replay_numba(
 ) -> tuple[Tensor, Tensor]:
     from sdf.grid_sdf import GridSDF
 
-    if not isinstance(model.sdf, GridSDF) or own.eye_m is not None:
+    shown = own.eye_m is not None and bool((history.kind == Kind.SEEN).any())  # the compiled version knows no camera
+    if shown or not isinstance(model.sdf, GridSDF):
         return replay_plain(model, own, history, given, first, least)
     from rumi.belief.toppled_object_numba import replay as kernel
     from sdf.grid_numba import grid_arguments

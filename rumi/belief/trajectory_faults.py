@@ -23,6 +23,7 @@ from rumi.belief.predicted_action import followed, log_evidence
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import besides, seen_besides
 from rumi.belief.sensed_motion import USUAL_NATS
+from rumi.belief.stuck_hand import Told
 from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -56,6 +57,7 @@ _UNMET_M = 0.012  # from the surface of every particle: what is felt there is fe
 _STRAINED = 15.0  # nats that an action is unlikely by, from which on the push model is asked about
 _USUAL = 0.5  # share of the actions of a wrong push model that look as usual
 _HIDDEN = 0.05  # chance that a camera sees nothing of an object that is there
+_NO_REPEAT = Told(-math.inf, -math.inf)
 _ALIKE = 0.001  # chance that something that stands in the way is felt alike all the way
 
 
@@ -75,7 +77,7 @@ def log_ratios(
     *,
     generator: torch.Generator,
     looks: tuple[Reading, Reading] | None = None,
-    stuck: float = -math.inf,
+    stuck: Told = _NO_REPEAT,
 ) -> Float[Tensor, "K"]:
     """Log-likelihood ratio of each of `TRAJECTORY_FAULTS` against the belief, nats; 0 where a reading tells nothing.
 
@@ -87,9 +89,9 @@ def log_ratios(
         own: how far a knock goes, and how often a contact means nothing even so.
         generator: of the draws.
         looks: the readings before and of the action, where a camera looks after every action; None else.
-        stuck: log-likelihood ratio of a stuck hand (`stuck_hand.log_ratio`).
+        stuck: what the action tells of a stuck hand, which counts whether or not it tells anything else.
     """
-    told = dict.fromkeys(TRAJECTORY_FAULTS, 0.0) | {"stuck hand": stuck}
+    told = dict.fromkeys(TRAJECTORY_FAULTS, 0.0) | {"stuck hand": stuck.ratio}
     new = new_segments(before, after)
     if not new:
         return _tensor(told)
@@ -117,7 +119,7 @@ def log_ratios(
         }
         if len(unmet) > 2:
             beside = _beside(before, log_weights, history, unmet, pose_filter, generator)
-            alike = math.log(_ALIKE) if stuck > 0 else 0.0
+            alike = math.log(_ALIKE) if stuck.repeated > _TELLS else 0.0
             told["second object"] = math.log(_FALSE) + alike + beside - none
     repeated = looks is not None and _repeats(*looks, pose_filter)
     if not repeated:

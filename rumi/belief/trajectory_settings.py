@@ -97,8 +97,8 @@ class PoseTrajectorySettings:
         tool_off_m, tool_off_rad: deviations of where the tool is taken to be in a run, along each axis, and of its yaw.
         worn: mean and deviation of how much deeper the object's surface lies than its model's, in metres.
         view_off_m: deviation of where a camera has the object in a run, along each axis.
-        eye_m: where the camera is, in the plane: what it sees is on the side of a wall that faces it. None where nobody
-            knows, so that it may be on either.
+        eye_m: (x, y, z) of a camera that is some way off, world frame, metres: what it sees of an upright object is on
+            the side of a wall that faces it. None where nobody knows, so that it may be on either.
         most: points that are kept of a view, the free ones of it, and of a segment's felt points and pads.
     """
 
@@ -251,8 +251,8 @@ class PoseTrajectorySettings:
         for name in (*whole, *positive):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if self.eye_m is not None and not all(map(math.isfinite, self.eye_m)):
-            raise ValueError(f"Expected eye_m to be finite, got {self.eye_m}")
+        if self.eye_m is not None and (len(self.eye_m) != 3 or not all(map(math.isfinite, self.eye_m))):
+            raise ValueError(f"Expected eye_m as three finite numbers (x, y, z), got {self.eye_m}")
         if min(self.most) < 1 or self.friction[0] == 0 or self.lever_ratio[0] == 0:
             raise ValueError("Expected most, and the medians of friction and lever_ratio, to be above 0")
         if self.shared > 1 or not 0 < self.outliers < 0.5:

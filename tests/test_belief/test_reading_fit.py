@@ -62,7 +62,7 @@ def test_no_further_particle_is_asked_once_one_explains_the_reading(box: SDF, en
     class Counting(Box):
         def distance(self, points: Tensor) -> Tensor:
             nonlocal asked
-            asked += len(points)
+            asked += len(points) if points.ndim == 3 else 1
             return super().distance(points)
 
     belief, added = _belief(200, 0.01), _reading()
@@ -73,7 +73,7 @@ def test_no_further_particle_is_asked_once_one_explains_the_reading(box: SDF, en
     if enough_m == 0.0:
         assert found == pytest.approx(best, abs=1e-6)
     if enough_m == math.inf:
-        assert asked < 18 * 200
+        assert 0 < asked < 200
 
 
 def test_a_reading_without_points_leaves_nothing(box: SDF) -> None:
@@ -81,11 +81,20 @@ def test_a_reading_without_points_leaves_nothing(box: SDF) -> None:
     assert unexplained(_belief(3, 0.01), Observation.empty(), box) == (0.0, 0.0)
 
 
-def test_populations_that_follow_one_another_are_asked_alike(box: SDF) -> None:
+def test_populations_that_follow_one_another_are_asked_alike() -> None:
     """The one population that explains a reading is met among the first particles, wherever it is in the belief."""
+    asked = 0
+
+    class Counting(Box):
+        def distance(self, points: Tensor) -> Tensor:
+            nonlocal asked
+            asked += len(points)
+            return super().distance(points)
+
     far = se3.make(torch.eye(3), torch.tensor([1.0, 0.0, 0.0])).expand(400, 4, 4)
     here = se3.identity((400,))
     added = Observation.of(torch.tensor([[0.03, 0.0, 0.0]]), Semantics.SURFACE)
     for order in ([far, here], [here, far]):
-        belief = PoseBelief.uniform(torch.cat(order))
-        assert unexplained(belief, added, box, 0.001) == pytest.approx((0.0, 0.0), abs=1e-6)
+        belief, asked = PoseBelief.uniform(torch.cat(order)), 0
+        found = unexplained(belief, added, Counting((0.03, 0.02, 0.01)), 0.001)
+        assert found == pytest.approx((0.0, 0.0), abs=1e-6) and 0 < asked < 100

@@ -10,6 +10,7 @@ from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.stuck_hand import Told
 from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_faults import TRAJECTORY_FAULTS, last_contact_off, log_ratios, new_segments
 from rumi.belief.trajectory_history import History, Kind, Segment
@@ -76,13 +77,13 @@ def taken_in(before: Trajectories, segment: Segment, model) -> Trajectories:
 
 
 def ratios(
-    model, segment: Segment, sensed: PoseTrajectorySettings = SENSED, stuck: float = -torch.inf
+    model, segment: Segment, sensed: PoseTrajectorySettings = SENSED, stuck: float = -math.inf
 ) -> dict[str, float]:
     before = particles()
     after = taken_in(before, segment._replace(weight=segment.weight.double()), model)
     even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
     pose_filter = PoseTrajectoryFilter(FilterSettings(trajectories=sensed), Discrepancy(model.sdf, 0.1), model)
-    found = log_ratios(before, even, after, pose_filter, OWN, generator=generator(2), stuck=stuck)
+    found = log_ratios(before, even, after, pose_filter, OWN, generator=generator(2), stuck=Told(stuck, stuck))
     assert not bool(found.isnan().any()) and float(found.max()) < torch.inf
     return dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
 

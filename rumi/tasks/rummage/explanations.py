@@ -25,7 +25,9 @@ PRIOR: dict[str, float] = {
 """What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
 
 _MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
-_IN_SPACE = {**_MISFITS, "stuck hand": 0.05}
+IN_SPACE = {**_MISFITS, "stuck hand": 0.05}
+"""The same in space."""
+
 STATIC = {"hand off": 0.1, "camera off": 0.1, "another size": 0.1, "push model off": 0.05}
 """The same of faults that hold from the first view on."""
 
@@ -58,7 +60,7 @@ def faults_of(pose_filter: PoseFilter) -> Mapping[str, float]:
     """What a run by a filter may be lost by, with prior shares."""
     if follows(pose_filter):
         return PRIOR
-    return _IN_SPACE if isinstance(pose_filter, IslandFilter) else _MISFITS
+    return IN_SPACE if isinstance(pose_filter, IslandFilter) else _MISFITS
 
 
 def named(chances: Mapping[str, float]) -> tuple[str, float]:

@@ -114,7 +114,7 @@ def watch(
     names, test = [name for name, _ in shares], ChangeTest(tuple(share for _, share in shares), own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
     steps = (*history, record) if history else (last, record)
-    of_action = _ratios(steps, pose_filter, model, own, generator, looks_again)
+    of_action, repeated = _ratios(steps, pose_filter, model, own, generator, looks_again)
     strange = follows(pose_filter) and own.recover and float(of_action[names.index("false contacts")]) > _TELLS
     rivals, static = before.rivals, before.static
     if follows(pose_filter) and open_yet and not strange:
@@ -144,8 +144,8 @@ def watch(
         return replace(after, set_aside=strange), None
     name, chance = named(chances)
     clear = sum(chances[each] for each in SEARCHED) if name in SEARCHED else chance
-    repeats = name != "stuck hand" and "stuck hand" in names and float(ratios[names.index("stuck hand")]) > _TELLS
-    if (clear < _CLEAR or repeats) and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
+    unclear = clear < _CLEAR or (repeated > _TELLS and name != "stuck hand")
+    if unclear and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
         tells = bool((ratios.abs() > _TELLS).logical_and(ratios.isfinite()).any())
         return replace(after, waited=after.waited + tells), None
     if before.lost and (name in UNFELT or not bool(record.reading.in_contact.any())):
@@ -281,8 +281,8 @@ def _ratios(
     own: MisfitSettings,
     generator: torch.Generator,
     looks_again: bool,
-) -> Float[Tensor, "K"]:
-    """Log-likelihood ratios of the last step's reading, of each of `faults_of`."""
+) -> tuple[Float[Tensor, "K"], float]:
+    """Log-likelihood ratios of the last step's reading, of each of `faults_of`; and that of how it repeats itself."""
     *_, last, record = steps
     added = sensed_now(record, pose_filter.settings.motion)
     rides = pose_filter.settings.motion == "measured" and pose_filter.prior is None
@@ -290,13 +290,13 @@ def _ratios(
     found = log_ratios(asked, added, model.sdf, own)
     before, after = last.belief, record.belief
     if not (isinstance(before, PoseTrajectoryBelief) and isinstance(after, PoseTrajectoryBelief)):
-        return found
+        return found, 0.0
     assert isinstance(pose_filter, PoseTrajectoryFilter)
     anywhere = float(found[MISFITS.index("none of these")])
     readings = [step.reading for step in steps]
-    stuck = stuck_hand.log_ratio(readings, pose_filter.model, pose_filter.own, anywhere=anywhere)
+    stuck = stuck_hand.told_by(readings, pose_filter.model, pose_filter.own, anywhere=anywhere)
     if not follows(pose_filter):
-        return torch.cat((found, found.new_tensor([stuck])))
+        return torch.cat((found, found.new_tensor([stuck.ratio]))), stuck.repeated
     assert before.trajectories is not None and after.trajectories is not None
     told = trajectory_faults.log_ratios(
         before.trajectories,
@@ -308,4 +308,4 @@ def _ratios(
         looks=(last.reading, record.reading) if looks_again else None,
         stuck=stuck,
     )
-    return torch.cat((told, found[MISFITS.index("none of these") :]))
+    return torch.cat((told, found[MISFITS.index("none of these") :])), stuck.repeated

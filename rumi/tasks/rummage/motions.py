@@ -30,6 +30,7 @@ from sdf.primitives import Mug
 from sensors.discrepancy import Discrepancy
 
 _PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects and a level tool; the last of others too
+_NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points draw a thin wall so far to the camera
 _FROM_TARGET_M = 0.17  # of the point that a camera is calibrated by: how far the object may stand off it
 # noise of the motion where shape, balance or hand are not as known, fitted under `lab`: times that of exact ones, and
 # the length that each instant of a push counts as beside its step
@@ -137,10 +138,14 @@ def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTraj
 
 
 def _as_sensed(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
-    """The width of a sensed motion with what its sensor is stated to err by."""
+    """The widths of a sensed motion, and of what is seen, with what their sensors are stated to err by.
+
+    Where nobody knows the camera's place the nearer side of a wall hides the noise of its depth.
+    """
     stated = simulator.sensors
     return replace(
         own,
+        seen_sd_m=math.hypot(own.seen_sd_m, 0.0 if own.eye_m is None else stated.depth_noise_m),
         moved_m=math.hypot(own.moved_m, stated.motion_noise_m),
         moved_rad=math.hypot(own.moved_rad, stated.motion_noise_rad),
     )
@@ -165,14 +170,13 @@ def as_inexact(
     worn = math.hypot(build.worn_m / math.sqrt(12.0), half_m * build.scale / math.sqrt(3.0))
     known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
     wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
-    noise_m = 0.0 if own.eye_m is None else sensors.depth_noise_m  # else the nearer side of a wall hides it
+    drawn_near = 0.0 if own.eye_m is not None else _NEARER * sensors.depth_noise_m / math.sqrt(2.0)
     return replace(
         _as_sensed(own.freer(wider), simulator),
         tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
         tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
         worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], worn)),
-        view_off_m=math.hypot(own.view_off_m, calibration),
-        seen_sd_m=math.hypot(own.seen_sd_m, noise_m),
+        view_off_m=math.hypot(own.view_off_m, calibration, drawn_near),
         first_particles=own.first_particles if known else max(own.first_particles, _FIRST),
         missed=max(own.missed, pads.missed),
         dead=max(own.dead, pads.dead),

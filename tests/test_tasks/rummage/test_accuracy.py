@@ -14,6 +14,7 @@ from rumi.sim.error_settings import PadErrors
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.motions import as_accurate, as_inexact
+from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import from_dict, preset, to_dict
 
 OWN = PoseTrajectorySettings()
@@ -67,13 +68,20 @@ def test_pads_that_miss_and_feel_falsely_are_believed_to():
 def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
     settings = preset(task="mug", conditions="lab")
     with build(settings, cache_dir=cache) as (_, agent):
-        found = as_inexact(OWN, settings.simulator, agent.model.sdf.bounds)
+        camera = find_task("mug").camera
+        assert camera is not None
+        own = replace(OWN, eye_m=camera.position)
+        found = as_inexact(own, settings.simulator, agent.model.sdf.bounds)
         assert agent.filter.settings.trajectories == found and found.systematic
+        noise_m = settings.simulator.sensors.depth_noise_m
+        assert found.seen_sd_m == pytest.approx(math.hypot(OWN.seen_sd_m, noise_m)) and noise_m > 0
+        nearer = as_inexact(OWN, settings.simulator, agent.model.sdf.bounds)  # nobody knows where the camera is
+        assert nearer.seen_sd_m == OWN.seen_sd_m and nearer.view_off_m > found.view_off_m
         assert found.moved_m == pytest.approx(math.hypot(OWN.moved_m, settings.simulator.sensors.motion_noise_m))
         assert found.moved_m > OWN.moved_m and found.moved_rad > OWN.moved_rad
     settings = replace(settings, filter=replace(settings.filter, stated_errors="noise"))
     with build(settings, cache_dir=cache) as (_, agent):
-        assert agent.filter.settings.trajectories == as_accurate(OWN, settings.simulator) != OWN
+        assert agent.filter.settings.trajectories == as_accurate(own, settings.simulator) != own
 
 
 @pytest.mark.usefixtures("at_home")

@@ -121,12 +121,20 @@ def test_faults_that_nothing_tells_apart_are_named_together():
 def test_an_alarm_waits_for_two_telling_actions_at_most_where_its_fault_is_not_clear(model, pose_filter, monkeypatch):
     both = torch.tensor([9.0, 9.5, -9.0], dtype=torch.float64)  # knocked or absent
     given = iter((both, 0.0 * both, both - both.mean(), torch.tensor([9.0, -9.0, -9.0], dtype=torch.float64)))
-    monkeypatch.setattr(lost, "_ratios", lambda *_: next(given))
+    monkeypatch.setattr(lost, "_ratios", lambda *_: (next(given), 0.0))
     steps = [step(model, number, 0.0) for number in range(1, 5)]
     found = followed(model, pose_filter, steps)
     assert [now.waited for now, _, _ in found[:3]] == [1, 1, 2]
     assert [remark and remark.name for _, _, remark in found] == [None, None, None, "lost: knocked"]
     assert all(now.doubt() is not None for now, _, _ in found[:3]) and found[-1][0].waited == 0
+
+
+def test_an_alarm_of_another_name_waits_while_the_hand_repeats_itself(model, pose_filter, monkeypatch):
+    knocked = torch.tensor([9.0, -9.0, -9.0], dtype=torch.float64)
+    steps = [step(model, number, 0.0) for number in range(1, 4)]
+    for repeated, alarms in ((0.0, [True, True, True]), (5.0, [False, False, True])):
+        monkeypatch.setattr(lost, "_ratios", lambda *_, repeated=repeated: (knocked, repeated))
+        assert [remark is not None for _, _, remark in followed(model, pose_filter, steps)] == alarms
 
 
 @pytest.mark.parametrize(("again", "alarmed"), [(0.0, False), (20.0, True)])
@@ -136,7 +144,7 @@ def test_an_alarm_by_a_rival_is_asked_again(model, pose_filter, monkeypatch, aga
 
     monkeypatch.setattr(lost, "follows", lambda _: True)
     monkeypatch.setattr(lost, "faults_of", lambda _: PRIOR)
-    monkeypatch.setattr(lost, "_ratios", lambda *_: torch.zeros(len(PRIOR), dtype=torch.float64))
+    monkeypatch.setattr(lost, "_ratios", lambda *_: (torch.zeros(len(PRIOR), dtype=torch.float64), 0.0))
     monkeypatch.setattr(lost, "_rivals", lambda *_: told(20.0))
     monkeypatch.setattr(lost, "_asked_again", lambda *_: told(again))
     monkeypatch.setattr(lost.rival_filters, "is_asked_again", lambda _: False)
@@ -150,7 +158,7 @@ def test_a_reading_with_a_false_touch_that_is_no_fault_is_left_out_and_told(mode
     ratios[list(PRIOR).index("false contacts")] = 3.0
     monkeypatch.setattr(lost, "follows", lambda _: True)
     monkeypatch.setattr(lost, "faults_of", lambda _: PRIOR)
-    monkeypatch.setattr(lost, "_ratios", lambda *_: ratios)
+    monkeypatch.setattr(lost, "_ratios", lambda *_: (ratios, 0.0))
     monkeypatch.setattr(lost, "_rivals", lambda *_: (None, dict.fromkeys(STATIC, 0.0)))
     last, record = step(model, 1, 0.0), step(model, 2, 0.3)
     [(now, _, remark)] = followed(model, pose_filter, [record])
