@@ -11,7 +11,6 @@ import torch
 import rumi
 from rumi import build, cli, exit_codes, preset, run
 from rumi.errors import UsageError
-from rumi.tasks.rummage.scenes import SCENES
 from sdf import se3
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -137,7 +136,7 @@ def test_a_robot_may_bring_bare_readings(cache):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", [name for name in SCENES if "mug" in name])  # the others show next to nothing, or all
+@pytest.mark.parametrize("task", ["mug-0", "mug-1", "mug-2"])  # of them the discrepancy's, of the shelf's trajectories
 def test_the_first_belief_covers_what_the_view_leaves_open(task, tmp_path):
     script = load(ROOT / "scripts" / "first_view.py")
     figure = tmp_path / "view.png"
