@@ -106,5 +106,5 @@ def test_noise_draws_no_thin_wall_to_the_camera(cup):
 
 
 def test_a_camera_that_is_nowhere_is_refused():
-    with pytest.raises(ValueError, match="eye_m"):
+    with pytest.raises(ValueError, match="eye_m as three finite numbers"):
         replace(KNOWS, eye_m=(0.0, float("nan"), 0.0))

@@ -13,7 +13,8 @@ from rumi.runs.json_settings import changed
 from rumi.sim.error_settings import PadErrors
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.motions import as_accurate, as_inexact
+from rumi.tasks.rummage.entry import ENTRIES
+from rumi.tasks.rummage.motions import as_accurate, as_inexact, with_eye
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import from_dict, preset, to_dict
 
@@ -82,6 +83,24 @@ def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
     settings = replace(settings, filter=replace(settings.filter, stated_errors="noise"))
     with build(settings, cache_dir=cache) as (_, agent):
         assert agent.filter.settings.trajectories == as_accurate(own, settings.simulator) != own
+
+
+@pytest.mark.usefixtures("at_home")
+@pytest.mark.parametrize("eye_m", [None, (0.1, -0.2, 0.5)])
+def test_a_replay_knows_the_camera_that_its_run_knew(cache, eye_m):
+    camera = find_task("mug").camera
+    assert camera is not None
+    settings = changed(preset(task="mug", conditions="lab"), {"filter.trajectories.eye_m": eye_m})
+    with build(settings, cache_dir=cache) as (_, agent):
+        known = agent.filter.settings.trajectories
+    assert known.eye_m == (camera.position if eye_m is None else eye_m)
+    assert ENTRIES["mug"].agent(settings, cache_dir=cache).filter.settings.trajectories == known
+
+
+def test_no_camera_no_eye():
+    for task in ("drill", "drawn-shelf-box"):  # no camera sees them, and they are followed in space
+        settings = preset(task=task).filter
+        assert with_eye(find_task(task), settings) == settings
 
 
 @pytest.mark.usefixtures("at_home")
