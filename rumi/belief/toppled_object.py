@@ -188,8 +188,8 @@ class ToppledObject:
         size = size + own.slip * tools_way
         # a fall leaves it somewhere about where it would lie
         size = torch.where(done.fell, size.new_tensor(own.fall_m), size) * (done.slid | done.fell)
-        # what leans on the tool slips about as the tool moves it
-        size = torch.where(done.state.lying[:, 1] >= 0, own.lean * tools_way, size)
+        # what leans on the tool slips about as the tool moves it, and as it slides itself
+        size = torch.where(done.state.lying[:, 1] >= 0, length + own.lean * tools_way, size)
         along = torch.where((length[:, None] > 1e-9) & ~done.fell[:, None], step[:, :2], done.ahead)
         along = along / along.norm(dim=-1, keepdim=True).clamp_min(1e-9)
         across = torch.stack((-along[:, 1], along[:, 0]), -1)

@@ -8,7 +8,8 @@ centre of mass beyond the edge it falls as a pendulum does, slowly at first, and
 A *steep* contact, the tool on top of it or below a part that juts out, turns it about the edge for which that takes
 the least force, where that is little more than its weight: pressed down beyond the edge, lifted within it, or dragged
 along by friction near it; behind the edge it rises as far as the tool above lets it. What is pressed down elsewhere
-stays, or goes along with the tool.
+stays, or goes along with the tool. Lifted, what is high up would go back over the edge, along the tool that carries it:
+where the tool carries so much that its friction holds, the edge slides below it instead, towards the tool.
 """
 
 from typing import NamedTuple
@@ -19,12 +20,11 @@ from torch import Tensor
 
 from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, Touch, contact_twist, moved_by, pushed_out, rotated
+from rumi.dynamics.steep_contact import LEAST_M, OFF_M, SHARE, levered, levers_of
 from rumi.dynamics.tool_contact import GRAZE_M, Met, Scene, met_by
 from sdf.base import SDF
 
 MOST_M = 0.012  # that one contact moves an object, at most
-LEAST_M = 0.01  # lever of a lean, at least
-OFF_M = 0.001  # distance of an edge from below the centre of mass, at least
 PASSES, TILTS, HALVES = 2, 2, 5
 ACROSS = 0.3  # cosine to the edge's normal below which a push does not lean on it
 INSTANT_S = 0.05  # duration of a motion
@@ -32,7 +32,6 @@ RATE = 0.5  # rad/s at which a fall begins: a tool that goes 8 cm in a second, 1
 LANDS_RAD = 0.35  # into a fall, from when on it is as it comes to rest
 SWINGS = 0.75 * 9.81  # m/s^2 over the distance of mass from edge: square of a thin rod's rate of falling
 STICKS = 10.0  # friction of a contact that sticks
-SHARE = 0.5  # lever of a steep contact about an edge, of the weight's, at least: a tool presses with twice the weight
 
 
 class Leaning(NamedTuple):
@@ -94,18 +93,20 @@ def push_in_space(
     limit = _limit(rests, lying, firm)
     falls = lying[:, 2] >= limit
     falling, leaning = falls.nonzero()[:, 0], ((lying[:, 1] >= 0) & ~falls).nonzero()[:, 0]
-    way = after[:2] - before[:2]
+    way = (after - before)[[0, 1, 3]]
     if len(falling):
         lying[falling], ahead[falling] = _fallen(rests, planar[falling], lying[falling], limit[falling])
     if len(leaning):
         rubs = body.friction[leaning], soft[leaning]
-        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], *rubs, way)
+        there, lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], *rubs, way)
+        planar = planar.index_copy(0, leaning, there)
     free = (lying[:, 1] < 0).nonzero()[:, 0]
     met = met_by(scene, planar[free], lying[free])
-    edge, tilt, outward = _levered(rests, planar[free], lying[free], met, body.friction[free], way)
+    edge, tilt, outward, slides = levered(rests, planar[free], lying[free], met, body.friction[free], way)
     turns = edge >= 0
     some = free[turns]
     lying[some] = torch.stack((lying[some, 0], edge[turns].to(lying), tilt[turns]), -1)
+    planar = _along(planar, some, slides[turns], outward[turns])
     lying[some] = _held_down(scene, planar[some], lying[some], body.friction[some], soft[some], way)
     ahead[some] = outward[turns]
     pushes = ~turns & (met.depth > 0)
@@ -126,14 +127,15 @@ def push_in_space(
         tips = found[leans]
         tilt = depth[leans] / (place[leans, 2] * rate[leans]).clamp_min(LEAST_M)
         lying[tips] = torch.stack((lying[tips, 0], about[leans].to(lying), tilt), -1)
-        lying[tips], _ = _leant(scene, planar[tips], lying[tips], body.friction[tips], soft[tips], way)
-        slides, now = found[~leans], planar[found[~leans]]
-        slid[slides] = True
-        start, own, some = now, body.at(slides), torch.arange(len(slides))
+        there, lying[tips], _ = _leant(scene, planar[tips], lying[tips], body.friction[tips], soft[tips], way)
+        planar = planar.index_copy(0, tips, there)
+        pushed, now = found[~leans], planar[found[~leans]]
+        slid[pushed] = True
+        start, own, some = now, body.at(pushed), torch.arange(len(pushed))
         touch = depth[~leans], inward[~leans], place[~leans]
         for turn in range(PASSES):
             if turn:
-                met = met_by(scene, now, lying[slides])
+                met = met_by(scene, now, lying[pushed])
                 some = (met.depth > 0).nonzero()[:, 0]
                 touch = met.depth[some], met.inward[some], met.place[some]
             many = len(some)
@@ -143,7 +145,7 @@ def push_in_space(
             tools = before[:3].expand(many, 3), after[:3].expand(many, 3)
             out = pushed_out(now[some], start[some], *tools, met_at, own.at(some))
             now = now.index_copy(0, some, out)
-        planar = planar.index_copy(0, slides, now)
+        planar = planar.index_copy(0, pushed, now)
     edges, rest, edge = rests.edges, lying[:, 0].long(), lying[:, 1].long()
     down = (lying[:, 2] >= _limit(rests, lying, firm) + LANDS_RAD).nonzero()[:, 0]
     if len(down):
@@ -155,6 +157,14 @@ def push_in_space(
         lying[down] = torch.stack((edges.next[rest, edge].to(lying), none - 1.0, none), -1)
         fell[down] = True
     return Push(Leaning(planar, lying), slid, fell, ahead)
+
+
+def _along(
+    planar: Float[Tensor, "E 3"], rows: Int[Tensor, "S"], slides: Float[Tensor, "S"], outward: Float[Tensor, "S 2"]
+) -> Float[Tensor, "E 3"]:
+    """Poses of which some slide so far, each over its edge."""
+    there = torch.cat((planar[rows, :2] + slides[:, None] * outward, planar[rows, 2:]), -1)
+    return planar.index_copy(0, rows, there)
 
 
 def _limit(rests: RestingPoses, lying: Float[Tensor, "E 3"], firm: Float[Tensor, "E"]) -> Float[Tensor, "E"]:
@@ -190,83 +200,26 @@ def _edge_ahead(
     return about, off, torch.where(off.isfinite(), rate.gather(-1, about[:, None])[:, 0], torch.zeros_like(off))
 
 
-class _Levers(NamedTuple):
-    """What a steep contact of E objects does about K edges.
-
-    Attributes:
-        lifts: (E, K), metres that the contact goes inward for each radian of tilt.
-        arm: (E, K), lever of its force with friction over the weight's.
-        drag: (E, K), metres that the tool goes outward.
-        outward: (E, K, 2), of each edge, unit, world frame.
-    """
-
-    lifts: Float[Tensor, "E K"]
-    arm: Float[Tensor, "E K"]
-    drag: Float[Tensor, "E K"]
-    outward: Float[Tensor, "E K 2"]
-
-
-def _levers(
-    rests: RestingPoses,
-    planar: Float[Tensor, "E 3"],
-    lying: Float[Tensor, "E 3"],
-    met: Met,
-    friction: Float[Tensor, "E"],
-    way: Float[Tensor, "2"],
-) -> _Levers:
-    edges, rest = rests.edges, lying[:, 0].long()
-    normal, point = edges.normal[rest], edges.point[rest]
-    off = ((point - rests.centre[rest][:, None]) * normal).sum(-1).clamp_min(OFF_M)
-    outward = rotated(normal, planar[:, None, 2])
-    corner = planar[:, None, :2] + rotated(point, planar[:, None, 2])
-    beyond = ((met.at[:, None, :2] - corner) * outward).sum(-1)
-    along = (outward * met.normal[:, None, :2]).sum(-1)
-    drag = outward @ way
-    high, down = met.at[:, 2:], met.normal[:, 2:]
-    lifts = high * along - beyond * down
-    rubs = friction[:, None] * drag / way.norm().clamp_min(1e-12)
-    return _Levers(lifts, (lifts + high * rubs) / off, drag, outward)
-
-
-def _levered(
-    rests: RestingPoses,
-    planar: Float[Tensor, "E 3"],
-    lying: Float[Tensor, "E 3"],
-    met: Met,
-    friction: Float[Tensor, "E"],
-    way: Float[Tensor, "2"],
-) -> tuple[Int[Tensor, "E"], Float[Tensor, "E"], Float[Tensor, "E 2"]]:
-    """Edge about which a steep contact turns objects at rest (-1: none), the tilt, and the way over it."""
-    lifts, arm, drag, outward = _levers(rests, planar, lying, met, friction, way)
-    steep, high = met.steep[:, None], met.at[:, 2:].clamp_min(LEAST_M)
-    lifted = (lifts > LEAST_M) & (steep > met.depth[:, None])
-    dragged = (lifts <= LEAST_M) & (steep > -GRAZE_M) & (met.depth[:, None] <= 0) & (met.normal[:, 2:] < 0) & (drag > 0)
-    can = (lifted | dragged) & (arm > SHARE) & rests.edges.tip_rad[lying[:, 0].long()].isfinite()
-    most, edge = torch.where(can, arm, torch.full_like(arm, -torch.inf)).max(-1)
-    tilt = torch.where(lifted, steep.clamp_min(0.0) / lifts.clamp_min(LEAST_M), drag / high)
-    rows = torch.arange(len(edge))
-    return torch.where(most > 0, edge, -1), tilt[rows, edge], outward[rows, edge]
-
-
 def _leant(
     scene: Scene,
     planar: Float[Tensor, "E 3"],
     lying: Float[Tensor, "E 3"],
     friction: Float[Tensor, "E"],
     soft: Float[Tensor, "E"],
-    way: Float[Tensor, "2"],
-) -> tuple[Float[Tensor, "E 3"], Float[Tensor, "E 2"]]:
-    """Tilts of objects that lean on the tool where it is now, and the direction over their edges; rests where it left.
+    way: Float[Tensor, "3"],
+) -> tuple[Float[Tensor, "E 3"], Float[Tensor, "E 3"], Float[Tensor, "E 2"]]:
+    """Poses and tilts of objects that lean on the tool where it is now, and the direction over their edges.
 
-    From the tilt before: at rest the tool may be so deep in it that the way out is on the other side.
+    Rests where the tool left. From the tilt before: at rest the tool may be so deep in it that the way out is on the
+    other side.
     """
     lying, rows, edge = lying.clone(), torch.arange(len(planar)), lying[:, 1].long()
     touched = torch.zeros(len(planar), dtype=torch.bool)
     outward = planar[:, :2]
     for turn in range(TILTS):
         met = met_by(scene, planar, lying)
-        levers = _levers(scene.rests, planar, lying, met, friction, way)
-        lifts, arm, drag, outward = (part[rows, edge] for part in levers)
+        levers = levers_of(scene.rests, planar, lying, met, friction, way)
+        lifts, arm, drag, outward, carries, carried, slides = (part[rows, edge] for part in levers)
         inside = (met.depth > 0) | (met.steep > 0)
         along, high = (met.inward * outward).sum(-1), met.at[:, 2].clamp_min(LEAST_M)
         more = torch.where(along > ACROSS, met.depth / (met.place[:, 2] * along).clamp_min(LEAST_M), 0.0 * along)
@@ -277,6 +230,8 @@ def _leant(
             dragged = (lifts <= LEAST_M) & (met.steep > -GRAZE_M) & (met.depth <= 0) & (met.normal[:, 2] < 0)
             dragged &= (drag > 0) & (arm > SHARE)
             more, inside = torch.where(dragged, drag / high, more), inside | dragged
+            more = torch.where(carries, carried, more)
+            planar = _along(planar, rows[carries], slides[carries], outward[carries])
         going = inside if turn == 0 else inside & touched
         lying[going, 2] += more[going]
         touched |= inside
@@ -293,7 +248,7 @@ def _leant(
         gone = high <= 0.0
         lies = torch.where(gone, -torch.ones_like(high), lying[left, 1])
         lying[left] = torch.stack((lying[left, 0], lies, high), -1)
-    return lying, outward
+    return planar, lying, outward
 
 
 def _dragged(
@@ -329,12 +284,12 @@ def _held_down(
     lying: Float[Tensor, "E 3"],
     friction: Float[Tensor, "E"],
     soft: Float[Tensor, "E"],
-    way: Float[Tensor, "2"],
+    way: Float[Tensor, "3"],
 ) -> Float[Tensor, "E 3"]:
     """Tilts as far as the tool above lets objects rise; rests where it does not."""
     lying = lying.clone()
     met = met_by(scene, planar, lying)
-    lifts = _levers(scene.rests, planar, lying, met, friction, way).lifts
+    lifts = levers_of(scene.rests, planar, lying, met, friction, way).lifts
     lifts = lifts[torch.arange(len(planar)), lying[:, 1].long()]
     lying[:, 2] += _back(met, lifts, soft, torch.zeros_like(lifts))
     return _upright(lying)

@@ -3,32 +3,26 @@
 import math
 
 from rumi.dynamics.sliding_numba import settled, turned, twist
+from rumi.dynamics.steep_contact import LEAST_M, OFF_M, SHARE
 from rumi.dynamics.tool_contact import GRAZE_M
 from rumi.dynamics.tool_contact_numba import met, placed
-from rumi.dynamics.toppling import (
-    ACROSS,
-    HALVES,
-    INSTANT_S,
-    LANDS_RAD,
-    LEAST_M,
-    MOST_M,
-    OFF_M,
-    PASSES,
-    RATE,
-    SHARE,
-    STICKS,
-    SWINGS,
-    TILTS,
-)
+from rumi.dynamics.toppling import ACROSS, HALVES, INSTANT_S, LANDS_RAD, MOST_M, PASSES, RATE, STICKS, SWINGS, TILTS
 from sdf.compiled import bare
 
 
 @bare
-def _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests):
+def _moved(before, after):
+    """Way of the tool's frame."""
+    return after[0] - before[0], after[1] - before[1], after[3] - before[3]
+
+
+@bare
+def _lever(x, y, yaw, rest, edge, steep, depth, friction, way, rests):
     """What a steep contact does about an edge.
 
     Metres that it goes inward for each radian of tilt, lever of its force with friction over the weight's, metres that
-    the tool goes outward, and the way over the edge.
+    the tool goes outward, the way over the edge; whether the tool that rises takes the contact along, and radians that
+    it tilts and metres that the edge slides outward then.
     """
     centre, point, normal = rests[2], rests[4], rests[5]
     c, s = math.cos(yaw), math.sin(yaw)
@@ -39,30 +33,51 @@ def _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests):
     corner_x = x + c * point[rest, edge, 0] - s * point[rest, edge, 1]
     corner_y = y + s * point[rest, edge, 0] + c * point[rest, edge, 1]
     beyond = (steep[4] - corner_x) * out_x + (steep[5] - corner_y) * out_y
-    drag = out_x * way_x + out_y * way_y
+    drag = out_x * way[0] + out_y * way[1]
     lifts = steep[6] * (out_x * steep[1] + out_y * steep[2]) - beyond * steep[3]
-    rubs = friction * drag / max(math.sqrt(way_x * way_x + way_y * way_y), 1e-12)
-    return lifts, (lifts + steep[6] * rubs) / off, drag, out_x, out_y
+    along, down, high = out_x * steep[1] + out_y * steep[2], steep[3], steep[6]
+    into = steep[1] * way[0] + steep[2] * way[1] + down * way[2]
+    if down > 0 and lifts > LEAST_M:
+        across = high * down + beyond * along
+        slips = drag * down - way[2] * along - across * into / lifts
+        rubs = across if slips > 0 else -across if slips < 0 else 0.0
+    else:
+        rubs = high * drag / max(math.sqrt(way[0] * way[0] + way[1] * way[1]), 1e-12)
+    arm, carries, carried, slides = (lifts + friction * rubs) / off, False, 0.0, 0.0
+    if steep[0] > depth and down > 0 and beyond < 0 and into > 0 and way[2] > 0:
+        up = (off + friction * high) / max(friction * high - beyond, LEAST_M)
+        back = friction * (1.0 - up)
+        presses = up * down - back * along
+        carries = presses * math.sqrt(1.0 + friction * friction) > math.sqrt(up * up + back * back)
+        carries = carries and presses * arm < 1.0 and up < 1.0
+        if carries:
+            share = min(max(steep[0], 0.0) / max(into, 1e-12), 1.0)
+            arm, carried = 1.0 / max(presses, 1e-6), share * way[2] / max(-beyond, LEAST_M)
+            slides = share * drag - high * carried
+    return lifts, arm, drag, out_x, out_y, carries, carried, slides
 
 
 @bare
-def _levered(x, y, yaw, rest, most, steep, friction, way_x, way_y, rests):
-    """Edge about which a steep contact turns an object at rest (-1: none), the tilt, and the way over it."""
-    chosen, tilt, way_out_x, way_out_y, best = -1, 0.0, 0.0, 0.0, SHARE
+def _levered(x, y, yaw, rest, most, steep, friction, way, rests):
+    """Edge about which a steep contact turns an object at rest (-1: none), tilt, way over it, how far it slides."""
+    chosen, tilt, way_out_x, way_out_y, slides, best = -1, 0.0, 0.0, 0.0, 0.0, SHARE
     if not (steep[0] > most or (steep[0] > -GRAZE_M and not most > 0.0)):
-        return chosen, tilt, way_out_x, way_out_y
+        return chosen, tilt, way_out_x, way_out_y, slides
     tip = rests[6]
     high = max(steep[6], LEAST_M)
     for edge in range(tip.shape[1]):
         if not tip[rest, edge] < math.inf:
             continue
-        lifts, arm, drag, out_x, out_y = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
-        lifted = lifts > LEAST_M and steep[0] > most
+        done = _lever(x, y, yaw, rest, edge, steep, most, friction, way, rests)
+        lifts, arm, drag, out_x, out_y, carries, carried, slid = done
+        lifted = (lifts > LEAST_M or carries) and steep[0] > most
         dragged = not lifts > LEAST_M and steep[0] > -GRAZE_M and not most > 0.0 and steep[3] < 0 and drag > 0
         if (lifted or dragged) and arm > best:
             chosen, best, way_out_x, way_out_y = edge, arm, out_x, out_y
-            tilt = max(steep[0], 0.0) / lifts if lifted else drag / high
-    return chosen, tilt, way_out_x, way_out_y
+            tilt, slides = max(steep[0], 0.0) / lifts if lifted else drag / high, 0.0
+            if carries:
+                tilt, slides = carried, slid
+    return chosen, tilt, way_out_x, way_out_y, slides
 
 
 @bare
@@ -93,9 +108,8 @@ def _presses(lifts, steep, depth, soft):
 def _held_down(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
     """Edge and tilt as far as the tool above lets an object rise."""
     tool, box, rests, flat, lattice = scene
-    way_x, way_y = after[0] - before[0], after[1] - before[1]
     level, steep = met(placed(x, y, yaw, rest, edge, tilt, rests), after, tool, box, flat, lattice)
-    lifts, _, _, _, _ = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
+    lifts, _, _, _, _, _, _, _ = _lever(x, y, yaw, rest, edge, steep, level[0], friction, _moved(before, after), rests)
     if _presses(lifts, steep, level[0], soft):
         tilt += (steep[0] - soft) / lifts
     return (edge, tilt) if tilt > 0.0 else (-1, 0.0)
@@ -103,16 +117,16 @@ def _held_down(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene
 
 @bare
 def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
-    """Edge and tilt of an object that leans on the tool where it is now."""
+    """Pose, edge and tilt of an object that leans on the tool where it is now."""
     tool, box, rests, flat, lattice = scene
-    way_x, way_y = after[0] - before[0], after[1] - before[1]
-    touched = False
+    way, touched = _moved(before, after), False
     for turn in range(TILTS):
         frame = placed(x, y, yaw, rest, edge, tilt, rests)
         level, steep = met(frame, after, tool, box, flat, lattice)
         depth = level[0]
         inside = depth > 0.0 or steep[0] > 0.0
-        lifts, arm, drag, out_x, out_y = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
+        done = _lever(x, y, yaw, rest, edge, steep, depth, friction, way, rests)
+        lifts, arm, drag, out_x, out_y, carries, carried, slides = done
         dragged = not lifts > LEAST_M and steep[0] > -GRAZE_M and not depth > 0.0 and steep[3] < 0
         dragged = turn == 0 and dragged and drag > 0 and arm > SHARE
         if not (inside or dragged):
@@ -121,6 +135,8 @@ def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
         along = level[1] * out_x + level[2] * out_y
         if dragged:
             tilt += drag / max(steep[6], LEAST_M)
+        elif carries and turn == 0:
+            x, y, tilt = x + slides * out_x, y + slides * out_y, tilt + carried
         elif _presses(lifts, steep, depth, soft):
             tilt += (steep[0] - soft) / lifts
         elif lifts > LEAST_M and steep[0] > depth:
@@ -128,7 +144,7 @@ def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
         elif along > ACROSS:
             tilt += depth / max(level[5] * along, LEAST_M)
     if touched:
-        return (edge, tilt) if tilt > 0.0 else (-1, 0.0)
+        return (x, y, edge, tilt) if tilt > 0.0 else (x, y, -1, 0.0)
     low, high = 0.0, tilt
     for turn in range(HALVES):
         middle = low if turn == 0 else 0.5 * (low + high)
@@ -139,8 +155,8 @@ def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
         else:
             high = middle
     if high <= 0.0:
-        return -1, 0.0
-    return edge, high
+        return x, y, -1, 0.0
+    return x, y, edge, high
 
 
 @bare
@@ -256,14 +272,15 @@ def pushed(state, before, after, body, firm, sizes, scene):
         if tilt >= tip[rest, edge] * firm:
             tilt = _fallen(rest, edge, tilt, tip[rest, edge] * firm, rests)
         else:
-            edge, tilt = _leant(x, y, yaw, rest, edge, tilt, before, after, body[4], body[5], scene)
+            x, y, edge, tilt = _leant(x, y, yaw, rest, edge, tilt, before, after, body[4], body[5], scene)
     if edge < 0:
         frame = placed(x, y, yaw, rest, -1, 0.0, rests)
         level, steep = met(frame, after, tool, box, flat, lattice)
         if not (level[0] > 0.0 or steep[0] > -GRAZE_M):
             return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
-        way_x, way_y = after[0] - before[0], after[1] - before[1]
-        edge, tilt, unit_x, unit_y = _levered(x, y, yaw, rest, level[0], steep, body[4], way_x, way_y, rests)
+        edge, tilt, unit_x, unit_y, slides = _levered(
+            x, y, yaw, rest, level[0], steep, body[4], _moved(before, after), rests
+        )
         if edge < 0 and not level[0] > 0.0:
             from_x, from_y, from_yaw = x, y, yaw
             if body[6] > 0.0 and steep[3] < 0.0:
@@ -272,13 +289,14 @@ def pushed(state, before, after, body, firm, sizes, scene):
             return (x, y, yaw, rest, -1, 0.0), size, unit_x, unit_y
         about, off, rate = _ahead(yaw, rest, level[1], level[2], rests)
         if edge >= 0:
+            x, y = x + slides * unit_x, y + slides * unit_y
             edge, tilt = _held_down(x, y, yaw, rest, edge, tilt, before, after, body[4], body[5], scene)
             if edge < 0:
                 return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         elif about >= 0 and rate > ACROSS and level[5] > off * (1.0 / body[4] + body[4]):
             unit_x, unit_y = level[1], level[2]
             tilt = level[0] / max(level[5] * rate, LEAST_M)
-            edge, tilt = _leant(x, y, yaw, rest, about, tilt, before, after, body[4], body[5], scene)
+            x, y, edge, tilt = _leant(x, y, yaw, rest, about, tilt, before, after, body[4], body[5], scene)
             if edge < 0:
                 return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         else:
@@ -290,7 +308,11 @@ def pushed(state, before, after, body, firm, sizes, scene):
                 unit_x, unit_y = level[1], level[2]
     if edge >= 0:
         if tilt < tip[rest, edge] * firm + LANDS_RAD:
-            size = sizes[2] * _way(before, after)
+            dx, dy = x - state[0], y - state[1]
+            size, slid_x, slid_y = _gone(dx, dy, 0.0, 0.0)
+            size += sizes[2] * _way(before, after)
+            if slid_x != 0.0 or slid_y != 0.0:
+                unit_x, unit_y = slid_x, slid_y
         else:
             following, change = rests[7], rests[8]
             c, s = math.cos(yaw), math.sin(yaw)
