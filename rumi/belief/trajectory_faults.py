@@ -118,9 +118,10 @@ def log_ratios(
             "second object": math.log1p(-_FALSE),
         }
         if len(unmet) > 2:
-            beside = _beside(before, log_weights, history, unmet, pose_filter, generator)
+            beside = _beside(before, log_weights, history, unmet, pose_filter, generator) - none
             alike = math.log(_ALIKE) if stuck.repeated > _TELLS else 0.0
-            told["second object"] = math.log(_FALSE) + alike + beside - none
+            told["second object"] = math.log(_FALSE) + alike + beside
+            told["stuck hand"] = float(np.logaddexp(told["stuck hand"], stuck.repeated - math.log(2.0) + beside))
     repeated = looks is not None and _repeats(*looks, pose_filter)
     if not repeated:
         told["stale camera"] = -math.inf

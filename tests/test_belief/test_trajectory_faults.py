@@ -159,7 +159,7 @@ def test_a_touch_where_nothing_is_that_lasts_while_the_object_is_felt_too_is_a_s
     assert max(found, key=found.__getitem__) == "second object" and found["second object"] > 5.0
 
 
-def test_a_stuck_hand_is_as_likely_as_it_repeats_itself(model):
+def test_a_hand_that_feels_the_same_everywhere_is_stuck_and_no_second_object(model):
     way = torch.linspace(0.0, 0.1, 10, **DOUBLE)
     points = (FACE - torch.tensor([0.2, 0.0, 0.0], **DOUBLE)).repeat(10, 1)
     when = torch.arange(10).repeat_interleave(len(FACE))
@@ -169,8 +169,12 @@ def test_a_stuck_hand_is_as_likely_as_it_repeats_itself(model):
     kinds = torch.tensor([int(Kind.PAD_FELT), int(Kind.FELT)]).repeat(len(points))
     weight = torch.where(kinds == Kind.PAD_FELT, 0.5, SENSED.felt_weight / len(FACE))
     stuck = Segment(tool, True, points.repeat_interleave(2, 0), when.repeat_interleave(2, 0), kinds, weight)
-    for told in (9.2, -torch.inf):
-        assert ratios(model, stuck, stuck=told)["stuck hand"] == told
+    assert ratios(model, stuck)["stuck hand"] == -torch.inf
+    # what it feels where nothing is costs it no more than a second object, and that is seldom felt alike
+    for told in (3.0, 9.2):
+        found = ratios(model, stuck, stuck=told)
+        assert max(found, key=found.__getitem__) == "stuck hand"
+        assert found["stuck hand"] - found["second object"] == pytest.approx(told - math.log(2 * 0.3 * 1e-3), abs=0.1)
 
 
 def looked(points: torch.Tensor, place: tuple[float, float, float] = (-0.5, 0.0, 0.0)) -> Reading:
