@@ -119,9 +119,11 @@ def log_ratios(
         }
         if len(unmet) > 2:
             beside = _beside(before, log_weights, history, unmet, pose_filter, generator) - none
-            alike = math.log(_ALIKE) if stuck.repeated > _TELLS else 0.0
-            told["second object"] = math.log(_FALSE) + alike + beside
-            told["stuck hand"] = float(np.logaddexp(told["stuck hand"], stuck.repeated - math.log(2.0) + beside))
+            told["second object"] = math.log(_FALSE) + beside
+            if stuck.repeated > _TELLS:  # it feels on the object, anywhere, or beside what is felt as usual, as likely
+                told["second object"] += math.log(_ALIKE)
+                either = np.logaddexp(stuck.ratio + math.log(2.0), stuck.repeated + beside)
+                told["stuck hand"] = float(either) - math.log(3.0)
     repeated = looks is not None and _repeats(*looks, pose_filter)
     if not repeated:
         told["stale camera"] = -math.inf

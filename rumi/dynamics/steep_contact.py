@@ -4,8 +4,8 @@ The tool is on top of the object or below a part that juts out. With its frictio
 for which that takes the least force, where that is at most twice the weight W. From below it either slips along the
 surface, about an edge that stays, or what it carries stays on it, and the edge slides on the floor instead, towards it:
 what is up there would go back over the edge otherwise. Moments about the edge and friction mu of what the edge bears
-give the force then: (d + mu h) / (l + mu h) W up and mu times the rest of W away from the tool, for a mass d and a tool
-l from the edge, at the height h. What takes less force happens, if it is within the friction cone.
+give the force then: (d + mu h) / (l + mu h) W up and mu times the rest of W away from the edge, against the foot's
+friction, for a mass d and a tool l from the edge, at the height h. It holds within the friction cone.
 """
 
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from rumi.dynamics.tool_contact import GRAZE_M, Met
 
 LEAST_M = 0.01  # lever of a lean, at least
 OFF_M = 0.001  # distance of an edge from below the centre of mass, at least
+RISES = 0.1  # share of the tool's way that goes up, from which on it may carry an object
 SHARE = 0.5  # lever of a steep contact about an edge, of the weight's, at least: a tool presses with twice the weight
 
 
@@ -71,23 +72,24 @@ def levers_of(
     beyond = ((met.at[:, None, :2] - corner) * outward).sum(-1)
     along = (outward * met.normal[:, None, :2]).sum(-1)
     drag = outward @ way[:2]
-    high, down = met.at[:, 2:], met.normal[:, 2:]
-    lifts = high * along - beyond * down
+    high, rise = met.at[:, 2:], met.normal[:, 2:]
+    lifts = high * along - beyond * rise
     friction, into = friction[:, None], (met.normal @ way)[:, None]
     # slips: the tool rubs along its way; from below, against what of that and of the object's turn is along the surface
-    across = high * down + beyond * along
+    across = high * rise + beyond * along
     rubs = high * drag / way[:2].norm().clamp_min(1e-12)
-    rising = (down > 0) & (lifts > LEAST_M)
+    below = (rise > 0) & (lifts > LEAST_M)
     turns = across * into / lifts.clamp_min(LEAST_M)
-    rubs = torch.where(rising, across * (drag * down - way[2] * along - turns).sign(), rubs)
+    rubs = torch.where(below, across * (drag * rise - way[2] * along - turns).sign(), rubs)
     arm = (lifts + friction * rubs) / off
     # holds: the edge slides towards the tool; moments about it, and it bears what the tool does not
     up = (off + friction * high) / (friction * high - beyond).clamp_min(LEAST_M)
     back = friction * (1.0 - up)
-    normal = up * down - back * along
-    carries = (normal * (1.0 + friction * friction).sqrt() > torch.hypot(up, back)) & (normal * arm < 1.0)
-    carries &= (up < 1.0) & (beyond < 0) & (down > 0) & (into > 0) & (way[2] > 0) & (met.steep > met.depth)[:, None]
-    arm = torch.where(carries, 1.0 / normal.clamp_min(1e-6), arm)
+    presses = up * rise - back * along
+    carries = presses * (1.0 + friction * friction).sqrt() > torch.hypot(up, back)
+    carries &= (up < 1.0) & (beyond < 0) & (rise > 0) & (into > 0) & (met.steep > met.depth)[:, None]
+    carries &= (-beyond * drag < high * way[2]) & (way[2] > RISES * way.norm())  # towards the tool, which rises
+    arm = torch.where(carries, 1.0 / presses.clamp_min(1e-6), arm)
     share = (met.steep.clamp_min(0.0)[:, None] / into.clamp_min(1e-12)).clamp_max(1.0)
     carried = share * way[2] / (-beyond).clamp_min(LEAST_M)
     return Levers(lifts, arm, drag, outward, carries, carried, share * drag - high * carried)
@@ -101,7 +103,7 @@ def levered(
     friction: Float[Tensor, "E"],
     way: Float[Tensor, "3"],
 ) -> tuple[Int[Tensor, "E"], Float[Tensor, "E"], Float[Tensor, "E 2"], Float[Tensor, "E"]]:
-    """Edge about which a steep contact turns objects at rest (-1: none), the tilt, the way over it, and along that."""
+    """Edge about which a steep contact turns objects at rest (-1: none), tilt, way over it, how far it slides so."""
     lifts, arm, drag, outward, carries, carried, slides = levers_of(rests, planar, lying, met, friction, way)
     steep, high = met.steep[:, None], met.at[:, 2:].clamp_min(LEAST_M)
     lifted = ((lifts > LEAST_M) | carries) & (steep > met.depth[:, None])

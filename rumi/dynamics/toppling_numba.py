@@ -3,7 +3,7 @@
 import math
 
 from rumi.dynamics.sliding_numba import settled, turned, twist
-from rumi.dynamics.steep_contact import LEAST_M, OFF_M, SHARE
+from rumi.dynamics.steep_contact import LEAST_M, OFF_M, RISES, SHARE
 from rumi.dynamics.tool_contact import GRAZE_M
 from rumi.dynamics.tool_contact_numba import met, placed
 from rumi.dynamics.toppling import ACROSS, HALVES, INSTANT_S, LANDS_RAD, MOST_M, PASSES, RATE, STICKS, SWINGS, TILTS
@@ -34,22 +34,23 @@ def _lever(x, y, yaw, rest, edge, steep, depth, friction, way, rests):
     corner_y = y + s * point[rest, edge, 0] + c * point[rest, edge, 1]
     beyond = (steep[4] - corner_x) * out_x + (steep[5] - corner_y) * out_y
     drag = out_x * way[0] + out_y * way[1]
-    lifts = steep[6] * (out_x * steep[1] + out_y * steep[2]) - beyond * steep[3]
-    along, down, high = out_x * steep[1] + out_y * steep[2], steep[3], steep[6]
-    into = steep[1] * way[0] + steep[2] * way[1] + down * way[2]
-    if down > 0 and lifts > LEAST_M:
-        across = high * down + beyond * along
-        slips = drag * down - way[2] * along - across * into / lifts
+    along, rise, high = out_x * steep[1] + out_y * steep[2], steep[3], steep[6]
+    lifts = high * along - beyond * rise
+    into = steep[1] * way[0] + steep[2] * way[1] + rise * way[2]
+    if rise > 0 and lifts > LEAST_M:
+        across = high * rise + beyond * along
+        slips = drag * rise - way[2] * along - across * into / lifts
         rubs = across if slips > 0 else -across if slips < 0 else 0.0
     else:
         rubs = high * drag / max(math.sqrt(way[0] * way[0] + way[1] * way[1]), 1e-12)
     arm, carries, carried, slides = (lifts + friction * rubs) / off, False, 0.0, 0.0
-    if steep[0] > depth and down > 0 and beyond < 0 and into > 0 and way[2] > 0:
-        up = (off + friction * high) / max(friction * high - beyond, LEAST_M)
+    up = (off + friction * high) / max(friction * high - beyond, LEAST_M)
+    far = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+    if steep[0] > depth and rise > 0 and beyond < 0 and into > 0 and up < 1.0 and way[2] > RISES * far:
         back = friction * (1.0 - up)
-        presses = up * down - back * along
+        presses = up * rise - back * along
         carries = presses * math.sqrt(1.0 + friction * friction) > math.sqrt(up * up + back * back)
-        carries = carries and presses * arm < 1.0 and up < 1.0
+        carries = carries and -beyond * drag < high * way[2]
         if carries:
             share = min(max(steep[0], 0.0) / max(into, 1e-12), 1.0)
             arm, carried = 1.0 / max(presses, 1e-6), share * way[2] / max(-beyond, LEAST_M)
@@ -282,7 +283,7 @@ def pushed(state, before, after, body, firm, sizes, scene):
             x, y, yaw, rest, level[0], steep, body[4], _moved(before, after), rests
         )
         if edge < 0 and not level[0] > 0.0:
-            from_x, from_y, from_yaw = x, y, yaw
+            from_x, from_y, from_yaw = state[0], state[1], state[2]
             if body[6] > 0.0 and steep[3] < 0.0:
                 x, y, yaw = _dragged(x, y, yaw, rest, steep, before, after, body, rests)
             size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
@@ -300,7 +301,7 @@ def pushed(state, before, after, body, firm, sizes, scene):
             if edge < 0:
                 return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         else:
-            from_x, from_y, from_yaw = x, y, yaw
+            from_x, from_y, from_yaw = state[0], state[1], state[2]
             x, y, yaw = _slid(x, y, yaw, rest, level, before, after, body, scene)
             size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
             size += sizes[3] * _way(before, after)

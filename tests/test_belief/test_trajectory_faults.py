@@ -174,7 +174,10 @@ def test_a_hand_that_feels_the_same_everywhere_is_stuck_and_no_second_object(mod
     for told in (3.0, 9.2):
         found = ratios(model, stuck, stuck=told)
         assert max(found, key=found.__getitem__) == "stuck hand"
-        assert found["stuck hand"] - found["second object"] == pytest.approx(told - math.log(2 * 0.3 * 1e-3), abs=0.1)
+        assert found["stuck hand"] - found["second object"] == pytest.approx(told - math.log(3 * 0.3 * 1e-3), abs=0.1)
+    # one that had no chance to repeat itself is no more likely than before
+    found = ratios(model, stuck, stuck=0.0)
+    assert max(found, key=found.__getitem__) == "second object" and found["stuck hand"] == 0.0
 
 
 def looked(points: torch.Tensor, place: tuple[float, float, float] = (-0.5, 0.0, 0.0)) -> Reading:
