@@ -103,7 +103,10 @@ def levered(
     friction: Float[Tensor, "E"],
     way: Float[Tensor, "3"],
 ) -> tuple[Int[Tensor, "E"], Float[Tensor, "E"], Float[Tensor, "E 2"], Float[Tensor, "E"]]:
-    """Edge about which a steep contact turns objects at rest (-1: none), tilt, way over it, how far it slides so."""
+    """Edge about which a steep contact turns objects at rest (-1: none), and the tilt.
+
+    Then the direction over that edge, and how far the edge slides that way.
+    """
     lifts, arm, drag, outward, carries, carried, slides = levers_of(rests, planar, lying, met, friction, way)
     steep, high = met.steep[:, None], met.at[:, 2:].clamp_min(LEAST_M)
     lifted = ((lifts > LEAST_M) | carries) & (steep > met.depth[:, None])

@@ -11,9 +11,15 @@ from sdf.compiled import bare
 
 
 @bare
-def _moved(before, after):
+def _way(before, after):
     """Way of the tool's frame."""
     return after[0] - before[0], after[1] - before[1], after[3] - before[3]
+
+
+@bare
+def _far(way):
+    """How far that is."""
+    return math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
 
 
 @bare
@@ -45,8 +51,7 @@ def _lever(x, y, yaw, rest, edge, steep, depth, friction, way, rests):
         rubs = high * drag / max(math.sqrt(way[0] * way[0] + way[1] * way[1]), 1e-12)
     arm, carries, carried, slides = (lifts + friction * rubs) / off, False, 0.0, 0.0
     up = (off + friction * high) / max(friction * high - beyond, LEAST_M)
-    far = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
-    if steep[0] > depth and rise > 0 and beyond < 0 and into > 0 and up < 1.0 and way[2] > RISES * far:
+    if steep[0] > depth and rise > 0 and beyond < 0 and into > 0 and up < 1.0 and way[2] > RISES * _far(way):
         back = friction * (1.0 - up)
         presses = up * rise - back * along
         carries = presses * math.sqrt(1.0 + friction * friction) > math.sqrt(up * up + back * back)
@@ -110,7 +115,7 @@ def _held_down(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene
     """Edge and tilt as far as the tool above lets an object rise."""
     tool, box, rests, flat, lattice = scene
     level, steep = met(placed(x, y, yaw, rest, edge, tilt, rests), after, tool, box, flat, lattice)
-    lifts, _, _, _, _, _, _, _ = _lever(x, y, yaw, rest, edge, steep, level[0], friction, _moved(before, after), rests)
+    lifts = _lever(x, y, yaw, rest, edge, steep, level[0], friction, _way(before, after), rests)[0]
     if _presses(lifts, steep, level[0], soft):
         tilt += (steep[0] - soft) / lifts
     return (edge, tilt) if tilt > 0.0 else (-1, 0.0)
@@ -120,7 +125,7 @@ def _held_down(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene
 def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
     """Pose, edge and tilt of an object that leans on the tool where it is now."""
     tool, box, rests, flat, lattice = scene
-    way, touched = _moved(before, after), False
+    way, touched = _way(before, after), False
     for turn in range(TILTS):
         frame = placed(x, y, yaw, rest, edge, tilt, rests)
         level, steep = met(frame, after, tool, box, flat, lattice)
@@ -248,12 +253,6 @@ def _gone(dx, dy, turned, m_per_rad):
 
 
 @bare
-def _way(before, after):
-    """How far the tool's frame went."""
-    return math.sqrt((after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2 + (after[3] - before[3]) ** 2)
-
-
-@bare
 def pushed(state, before, after, body, firm, sizes, scene):
     """Object after one small motion of the tool, the size of it that its noise goes by, and its direction.
 
@@ -280,7 +279,7 @@ def pushed(state, before, after, body, firm, sizes, scene):
         if not (level[0] > 0.0 or steep[0] > -GRAZE_M):
             return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         edge, tilt, unit_x, unit_y, slides = _levered(
-            x, y, yaw, rest, level[0], steep, body[4], _moved(before, after), rests
+            x, y, yaw, rest, level[0], steep, body[4], _way(before, after), rests
         )
         if edge < 0 and not level[0] > 0.0:
             from_x, from_y, from_yaw = state[0], state[1], state[2]
@@ -304,14 +303,14 @@ def pushed(state, before, after, body, firm, sizes, scene):
             from_x, from_y, from_yaw = state[0], state[1], state[2]
             x, y, yaw = _slid(x, y, yaw, rest, level, before, after, body, scene)
             size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
-            size += sizes[3] * _way(before, after)
+            size += sizes[3] * _far(_way(before, after))
             if unit_x == 0.0 and unit_y == 0.0:
                 unit_x, unit_y = level[1], level[2]
     if edge >= 0:
         if tilt < tip[rest, edge] * firm + LANDS_RAD:
             dx, dy = x - state[0], y - state[1]
             size, slid_x, slid_y = _gone(dx, dy, 0.0, 0.0)
-            size += sizes[2] * _way(before, after)
+            size += sizes[2] * _far(_way(before, after))
             if slid_x != 0.0 or slid_y != 0.0:
                 unit_x, unit_y = slid_x, slid_y
         else:
