@@ -94,7 +94,7 @@ def _thresholds(run: Run) -> dict[str, float]:
 
 
 def _save_curves(run: Run, path: Path) -> Path:
-    with style.figure(5.6, 4.2) as figure:
+    with style.figure(6.4, 4.2) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         _draw_curves(run, upper, lower)
         figure.suptitle(heading(run), fontsize=9, x=0.01, ha="left", color=style.INK)
@@ -122,8 +122,8 @@ def _draw_curves(run: Run, upper: "Axes", lower: "Axes") -> None:
         bbox_to_anchor=(0, 1.0),
         ncols=4,
         borderaxespad=0.2,
-        handlelength=2.0,
-        columnspacing=1.3,
+        handlelength=1.6,
+        columnspacing=1.1,
     )
 
 

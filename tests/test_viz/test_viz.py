@@ -44,6 +44,23 @@ def area(line):
     return 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
 
 
+def test_a_legend_of_curves_is_within_its_figure(run, tmp_path, monkeypatch):
+    kept, saved = [], style.save
+
+    def save(figure, path, **options):
+        if path.name == "curves.png":
+            entries = [legend for ax in figure.axes if (legend := ax.get_legend())]
+            figure.draw_without_rendering()
+            kept.extend((len(each.get_texts()), each.get_window_extent().x1, figure.bbox.x1) for each in entries)
+        return saved(figure, path, **options)
+
+    monkeypatch.setattr(style, "save", save)
+    wide = {"resampled": True, "nll": 1100.0, "expected_nll": 1100.0}
+    make_figures(replace(run, steps=[replace(step, **wide) for step in run.steps]), tmp_path / "figures")
+    assert max(count for count, _, _ in kept) == 4  # all that it may tell
+    assert all(right <= width for _, right, width in kept)
+
+
 def test_all_figures_are_written(run, tmp_path):
     written = make_figures(run, tmp_path / "figures")
     names = {path.name for path in written}
