@@ -48,10 +48,16 @@ def standing(
         free = free[_distance(model, poses, free).amin(0) < _NEAR_M]
     if not len(seen) + len(free):
         return None
+    worth = own.seen_points if taken is None else own.later_points
+    if len(seen):  # a view: each cell that it sees through is news of a silhouette
+        each_free, most_free = min(own.free_weight, own.free_points / max(1, len(free))), own.free_most
+        each_free *= worth / own.seen_points
+    else:  # what the tool went through, which is off by the same all the way
+        each_free, most_free = min(own.free_weight, worth / max(1, len(free))), own.most[1]
     parts = []
     for points, kind, each, most in (
-        (seen, Kind.SEEN, own.seen_points / max(1, len(seen)), own.most[0]),
-        (free, Kind.FREE, min(own.free_weight, own.seen_points / max(1, len(free))), own.most[1]),
+        (seen, Kind.SEEN, worth / max(1, len(seen)), own.most[0]),
+        (free, Kind.FREE, each_free, most_free),
     ):
         kept, counts = _thinned(len(points), most)
         parts.append((points[kept], torch.full((len(kept),), int(kind)), torch.full((len(kept),), each * counts)))

@@ -71,10 +71,14 @@ class PoseTrajectorySettings:
         shared: part of its variance that a whole action has in common.
         seen_sd_m: deviation of what a camera sees.
         seen_points: independent points that all seen surface points of a view are worth.
-        seen_again_points: the same where a camera looks after every action, since its views err alike.
+        seen_again_points: the same of each later view where a camera looks after every action, since its views err
+            alike; what it saw through then is worth less in the same measure.
+        looks_again: whether a camera looks after every action.
         free_m, free_sd_m, free_weight: depth allowed to a free point, deviation beyond, and what a cell of
-            `free_cell_m` is worth; all of them in a view no more than `seen_points`.
+            `free_cell_m` is worth; all those that the tool goes through at once no more than `seen_points`.
         free_cell_m: lattice that keeps one free point a cell.
+        free_points: independent points that all free ones of a view are worth, at most.
+        free_most: points that are kept of them.
         felt_m, felt_sd_m, felt_weight: mean distance of felt points from the surface, its deviation, and what those of
             an instant are worth.
         pad_m, pad_slope_m, pad_weight, pad_spacing_m: distance within which a pad's point feels the surface, width of
@@ -99,7 +103,7 @@ class PoseTrajectorySettings:
         view_off_m: deviation of where a camera has the object in a run, along each axis.
         eye_m: (x, y, z) of a camera that is some way off, world frame, metres: what it sees of an upright object is on
             the side of a wall that faces it. None where nobody knows, so that it may be on either.
-        most: points that are kept of a view, the free ones of it, and of a segment's felt points and pads.
+        most: points that are kept of a view, of what the tool went through, and of a segment's felt points and pads.
     """
 
     particles: int = 150
@@ -137,10 +141,13 @@ class PoseTrajectorySettings:
     seen_sd_m: float = 0.0015
     seen_points: float = 25.0
     seen_again_points: float = 8.0
+    looks_again: bool = False
     free_m: float = 0.001
     free_sd_m: float = 0.0015
     free_weight: float = 0.15
     free_cell_m: float = 0.005
+    free_points: float = 1000.0
+    free_most: int = 1000
     felt_m: float = 0.0015
     felt_sd_m: float = 0.002
     felt_weight: float = 0.5
@@ -178,6 +185,11 @@ class PoseTrajectorySettings:
         """Whether anything is off by the same in a whole run."""
         return any((self.tool_off_m, self.tool_off_rad, *self.worn, self.view_off_m))
 
+    @property
+    def later_points(self) -> float:
+        """Independent points that all seen surface points of a view after the first are worth."""
+        return self.seen_again_points if self.looks_again else self.seen_points
+
     def wider(self, camera_m: float, tool_m: float) -> Self:
         """The same where readings are off by more than their noise, by these standard deviations.
 
@@ -201,7 +213,7 @@ class PoseTrajectorySettings:
 
         What a push may have done otherwise than foreseen costs little there, for what is seen takes it back.
         """
-        return replace(self.freer(2.0), seen_points=self.seen_again_points)
+        return replace(self.freer(2.0), looks_again=True)
 
     def freer(self, times: float) -> Self:
         """The same where pushes go otherwise than foreseen by so many times as much."""
@@ -253,7 +265,7 @@ class PoseTrajectorySettings:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
         if self.eye_m is not None and (len(self.eye_m) != 3 or not all(map(math.isfinite, self.eye_m))):
             raise ValueError(f"Expected eye_m as three finite numbers (x, y, z), got {self.eye_m}")
-        if min(self.most) < 1 or self.friction[0] == 0 or self.lever_ratio[0] == 0:
-            raise ValueError("Expected most, and the medians of friction and lever_ratio, to be above 0")
+        if min(*self.most, self.free_most) < 1 or self.friction[0] == 0 or self.lever_ratio[0] == 0:
+            raise ValueError("Expected most, free_most, and the medians of friction and lever_ratio, to be above 0")
         if self.shared > 1 or not 0 < self.outliers < 0.5:
             raise ValueError(f"Expected shared in [0, 1] and outliers in (0, 0.5), got {self.shared}, {self.outliers}")

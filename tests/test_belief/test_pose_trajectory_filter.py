@@ -14,7 +14,7 @@ from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.segments import cut, felt_pads, standing
-from rumi.belief.trajectory_history import History
+from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path
@@ -224,6 +224,28 @@ def test_what_is_felt_is_told_from_the_points(model):
     assert torch.equal(torch.cat(cut(reading, own)), torch.arange(len(PUSH)))
     none = replace(reading, in_contact=torch.zeros_like(reading.in_contact))
     assert [len(part) for part in cut(none, own)] == [len(PUSH)]
+
+
+@pytest.mark.parametrize("count", [40, 400])
+def test_each_cell_that_a_view_sees_through_counts_however_many_there_are(model, count):
+    free = torch.tensor([-0.045, 0.0, 0.03]) + 0.004 * torch.rand(count, 3, generator=generator(2))
+    surface = torch.tensor([[-0.04, 0.0, 0.03]])
+    view = Observation.of(free, Semantics.FREE), Observation.of(surface, Semantics.SURFACE)
+    poses, both = torch.zeros(2, 3, **DOUBLE), concatenate(list(view))
+    taken = History.empty().appended(standing(view[1], poses, model, OWN))
+
+    def worth(observation, own, taken=None):
+        found = standing(observation, poses, model, own, taken)
+        return [float(found.weight[found.kind == kind].sum()) for kind in (Kind.SEEN, Kind.FREE)]
+
+    each = count * OWN.free_weight
+    assert worth(both, OWN) == pytest.approx([OWN.seen_points, each])
+    assert worth(both, OWN.seen_again()) == pytest.approx([OWN.seen_points, each])
+    less = OWN.seen_again_points / OWN.seen_points
+    assert worth(both, OWN.seen_again(), taken) == pytest.approx([less * OWN.seen_points, less * each])
+    assert worth(both, replace(OWN, free_points=10.0, free_most=7)) == pytest.approx([OWN.seen_points, min(each, 10.0)])
+    # what the tool went through is off by the same everywhere
+    assert worth(view[0], OWN) == pytest.approx([0.0, min(each, OWN.seen_points)])
 
 
 def test_free_cells_count_once(model):

@@ -11,6 +11,7 @@ from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.reinitialise import ReinitialiseSettings
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.errors import UsageError
 from rumi.information.stopping import StopSettings
 from rumi.planning.gpvr import GPVRSettings
@@ -180,17 +181,28 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     """
     if "made_with" in values and "filter" in values:
         # runs on record that do not say otherwise are of before errors of a whole run were particles' own, populations
-        # exchanged particles, what is felt standing still counted less, what is pushed in space slipped, and a camera
-        # that looks again was evidence of each particle's own motion
+        # exchanged particles, what is felt standing still counted less, what is pushed in space slipped, a camera
+        # that looks again was evidence of each particle's own motion, and each cell that a view sees through counted
         following = {"stated_errors": "noise", **values["filter"]}
         spec = (SCENES | DRAWN).get(values.get("task", ""))
         if spec is not None and spec.looks_again and "seen_again_points" not in following.get("trajectories", {}):
             following["unmeasured"] = following.get("unmeasured") or "corrected"
         if "trajectories" in following:
             following["trajectories"] = {"exchanged": 0.0, "fresh_m": 0.0, "slip": 0.0, **following["trajectories"]}
+            if "free_points" not in following["trajectories"]:
+                again = spec is not None and spec.looks_again
+                following["trajectories"] |= _views_alike(following["trajectories"], again=again)
         values = {**values, "filter": following}
     extra = {"schema", "made_with"}
     return dataclass_of(Settings, {name: value for name, value in values.items() if name not in extra})
+
+
+def _views_alike(trajectories: Mapping[str, Any], *, again: bool) -> dict[str, Any]:
+    """What a view is worth as once: all free points of it as much as all seen ones, a first view as a later one."""
+    fitted = PoseTrajectorySettings()
+    name = "seen_again_points" if again else "seen_points"
+    worth = trajectories.get(name, getattr(fitted, name))
+    return {"seen_points": worth, "free_points": worth, "free_most": trajectories.get("most", fitted.most)[1]}
 
 
 def _default() -> Settings:

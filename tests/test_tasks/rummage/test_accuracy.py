@@ -152,6 +152,16 @@ def test_runs_on_record_keep_what_their_errors_counted_as():
     assert from_dict(made).filter.stated_errors == "auto"
 
 
+@pytest.mark.parametrize(("task", "worth"), [("mug", 25.0), ("drawn-shelf-mug", 8.0)])
+def test_runs_on_record_keep_what_their_views_counted_as(task, worth):
+    made = to_dict(preset(task=task))
+    for name in ("free_points", "free_most", "looks_again"):
+        del made["filter"]["trajectories"][name]
+    own = from_dict(made | {"made_with": {}}).filter.trajectories
+    assert (own.seen_points, own.free_points, own.free_most) == (worth, worth, 250)
+    assert from_dict(made).filter.trajectories == preset(task=task).filter.trajectories
+
+
 def test_runs_on_record_keep_one_motion_where_a_camera_looked_again():
     for task, motion in (("shelf-mug", "corrected"), ("drawn-shelf-mug", "corrected"), ("mug", None)):
         made = to_dict(preset(task=task))
