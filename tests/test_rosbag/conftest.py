@@ -4,10 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
-pytest.importorskip("rosbags")
-pytest.importorskip("h5py")
+from tests.fixtures.optional import tests_without
 
-from tests.fixtures.bags import MAP, RISE, SECOND, START, BagMaker, readings_of, record
+collect_ignore_glob = tests_without("rosbags", "h5py")
+if not collect_ignore_glob:
+    from tests.fixtures.bags import MAP, RISE, SECOND, START, BagMaker, readings_of, record
 
 
 @pytest.fixture(scope="session")

@@ -2,10 +2,10 @@
 
 import pytest
 
-pytest.importorskip("mujoco")
-pytest.importorskip("pytorch_kinematics")
-
 from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
+from tests.fixtures.optional import tests_without
+
+collect_ignore_glob = tests_without("mujoco", "pytorch_kinematics")
 
 
 @pytest.fixture(scope="session")

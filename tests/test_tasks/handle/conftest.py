@@ -2,12 +2,13 @@
 
 import pytest
 
-pytest.importorskip("mujoco")
-pytest.importorskip("cv2")
-
-from rumi.sim.bodies import body_of
-from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.scenes import large_handled_mug, make_tool
+from tests.fixtures.optional import tests_without
+
+collect_ignore_glob = tests_without("mujoco", "cv2")
+if not collect_ignore_glob:
+    from rumi.sim.bodies import body_of
+    from rumi.tasks.handle.settings import HandleSettings, task_of
 
 
 @pytest.fixture(scope="session")
