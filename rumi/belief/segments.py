@@ -48,10 +48,10 @@ def standing(
         free = free[_distance(model, poses, free).amin(0) < _NEAR_M]
     if not len(seen) + len(free):
         return None
-    worth = own.seen_points if taken is None else own.later_points
+    share = 1.0 if taken is None else own.later_share
+    worth = share * own.seen_points
     if len(seen):  # a view: each cell that it sees through is news of a silhouette
-        each_free, most_free = min(own.free_weight, own.free_points / max(1, len(free))), own.free_most
-        each_free *= worth / own.seen_points
+        each_free, most_free = share * min(own.free_weight, own.free_points / max(1, len(free))), own.free_most
     else:  # what the tool went through, which is off by the same all the way
         each_free, most_free = min(own.free_weight, worth / max(1, len(free))), own.most[1]
     parts = []

@@ -186,9 +186,9 @@ class PoseTrajectorySettings:
         return any((self.tool_off_m, self.tool_off_rad, *self.worn, self.view_off_m))
 
     @property
-    def later_points(self) -> float:
-        """Independent points that all seen surface points of a view after the first are worth."""
-        return self.seen_again_points if self.looks_again else self.seen_points
+    def later_share(self) -> float:
+        """Part of a first view that each later one is worth."""
+        return self.seen_again_points / self.seen_points if self.looks_again and self.seen_points else 1.0
 
     def wider(self, camera_m: float, tool_m: float) -> Self:
         """The same where readings are off by more than their noise, by these standard deviations.

@@ -73,7 +73,8 @@ def test_a_camera_that_looks_again_lets_pushes_go_otherwise_than_foreseen():
     fitted = rumi.rummager(mug_model(0.004), lattice()).filter.own
     seen = rumi.rummager(mug_model(0.004), lattice(), looks_again=True).filter.own
     assert seen == fitted.seen_again() and seen.turn_rad_per_m == 2.0 * fitted.turn_rad_per_m
-    assert seen.later_points == fitted.seen_again_points < seen.seen_points == fitted.seen_points == fitted.later_points
+    assert seen.later_share * seen.seen_points == pytest.approx(fitted.seen_again_points)
+    assert seen.later_share < fitted.later_share == 1.0 == replace(seen, seen_points=0.0).later_share
 
 
 @pytest.mark.parametrize(
