@@ -6,7 +6,7 @@ import numpy as np
 
 from rumi.belief.silence_numba import SILENT, told_by_silence
 from rumi.belief.trajectory_likelihood import FACING, FACING_M
-from rumi.dynamics.sliding_numba import settled, slope, turned, value
+from rumi.dynamics.sliding_numba import gathered, settled, slope, turned, value
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import between, fast, lattice_of
 from sdf.grid_numba import value as distance_at
@@ -99,25 +99,43 @@ def _toward(x, y, cos, sin, eye):
 
 
 @bare
-def _stepped(x, y, yaw, before, after, worn, shape, scales, body, noise):
-    """Pose after an instant's push and the noise of it."""
+def _apart(x, y, yaw, before, after, worn, shape):
+    """Whether the tool, where it ends, is farther from the object than it went: it touched nothing on the way."""
+    tool, groups, table, numbers = shape
+    way_x, way_y = after[0] - before[0], after[1] - before[1]
+    travel = math.sqrt(way_x * way_x + way_y * way_y) + numbers[9] * abs(after[2] - before[2])
+    far_x, far_y, reach = after[0] - x, after[1] - y, numbers[3] + travel
+    if far_x * far_x + far_y * far_y >= reach * reach:
+        return True
+    placed = (after[0], after[1], math.cos(after[2]), math.sin(after[2]))
+    edge = travel + max(0.0, -worn)
+    return _deepest(x, y, yaw, placed, -edge, tool, groups, table, numbers)[0] > edge
+
+
+@bare
+def _slid(x, y, yaw, before, after, worn, shape, rim, body):
+    """Pose after a small push, and whether there was one."""
     tool, groups, table, numbers = shape
     from_x, from_y, tool_x, tool_y, tool_yaw = before[0], before[1], after[0], after[1], after[2]
     if (tool_x - x) ** 2 + (tool_y - y) ** 2 >= numbers[3] * numbers[3]:
-        return x, y, yaw
+        return x, y, yaw, False
     tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
     placed = (tool_x, tool_y, tool_cos, tool_sin)
     apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, tool, groups, table, numbers)
     if not apart + worn < 0.0:
-        return x, y, yaw
+        return x, y, yaw, False
     first = (x, y, yaw)
     way_x, way_y = tool_x - from_x, tool_y - from_y
     way = (way_x, way_y, tool_yaw - before[2])
     length = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-12)
     unit_x, unit_y = way_x / length, way_y / length
     cos, sin = math.cos(yaw), math.sin(yaw)
-    centre_x = body[0] + body[2] * (cos * unit_x + sin * unit_y)
-    centre_y = body[1] + body[2] * (cos * unit_y - sin * unit_x)
+    in_x, in_y = cos * unit_x + sin * unit_y, cos * unit_y - sin * unit_x
+    ahead, lever = numbers[8] * body[2], body[3]
+    if rim > 0.0:
+        behind = (body[0] - at_x) * in_x + (body[1] - at_y) * in_y
+        ahead, lever = gathered(body[2], numbers[8] - body[4] * max(0.0, behind), lever)
+    centre_x, centre_y = body[0] + ahead * in_x, body[1] + ahead * in_y
     for again in range(2):
         if again:
             apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, tool, groups, table, numbers)
@@ -140,19 +158,54 @@ def _stepped(x, y, yaw, before, after, worn, shape, scales, body, noise):
             gy,
             -worn - apart,
             -worn,
-            (centre_x, centre_y, body[3], body[4], 0.0, 0.0, 0.0, 0.0, 0.0),
+            (centre_x, centre_y, lever, body[4], 0.0, 0.0, 0.0, 0.0, 0.0),
         )
+    return x, y, yaw, True
+
+
+@bare
+def _stepped(x, y, yaw, before, after, parts, worn, shape, scales, body, noise):
+    """Pose after an instant's push, in so many parts, and the noise of it."""
+    if parts > 1 and _apart(x, y, yaw, before, after, worn, shape):
+        return x, y, yaw
+    first, begin, touched = (x, y, yaw), before, False
+    for part in range(1, parts + 1):
+        end = after
+        if part < parts:
+            share = part / parts
+            end = (
+                before[0] + share * (after[0] - before[0]),
+                before[1] + share * (after[1] - before[1]),
+                before[2] + share * (after[2] - before[2]),
+            )
+        x, y, yaw, met = _slid(x, y, yaw, begin, end, worn, shape, scales[20], body)
+        begin, touched = end, touched or met
+    if not touched:
+        return x, y, yaw
     dx, dy, turn = x - first[0], y - first[1], yaw - first[2]
     length = math.sqrt(dx * dx + dy * dy)
     size = length + scales[12] * abs(turn) + scales[17]
     if length > 1e-9:
         unit_x, unit_y = dx / length, dy / length
+    else:
+        unit_x, unit_y = after[0] - before[0], after[1] - before[1]
+        length = max(math.sqrt(unit_x * unit_x + unit_y * unit_y), 1e-12)
+        unit_x, unit_y = unit_x / length, unit_y / length
     along, across = noise[0] * size * scales[9], noise[1] * size * scales[10]
     return (
         x + along * unit_x - across * unit_y,
         y + along * unit_y + across * unit_x,
         yaw + noise[2] * size * scales[11],
     )
+
+
+@bare
+def parts_of(before, after, most):
+    """In how many parts the tool's way is taken, each no longer than `most`; 1 where that is 0."""
+    if most <= 0.0:
+        return 1
+    way_x, way_y = after[0] - before[0], after[1] - before[1]
+    return max(1, math.ceil(math.sqrt(way_x * way_x + way_y * way_y) / most - 1e-6))
 
 
 @bare
@@ -186,7 +239,7 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
     worn = 0.0 if exact else errors[n, 3]
     thin = np.float32(worn)
     x, y, yaw = poses[n, begin, 0], poses[n, begin, 1], poses[n, begin, 2]
-    ahead = numbers[8] * (scales[4] + scales[5] * physics[n, 4])
+    ahead = scales[4] + scales[5] * physics[n, 4]
     centre_x, centre_y = numbers[6] + scales[6] * physics[n, 2], numbers[7] + scales[6] * physics[n, 3]
     own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])
     inverse = np.float32(1.0 / scales[15])
@@ -208,9 +261,10 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
             if pushes[instant]:
                 before = (path[instant, 0, 0], path[instant, 0, 1], path[instant, 0, 2])
                 after = (path[instant, 1, 0], path[instant, 1, 1], path[instant, 1, 2])
+                parts = parts_of(before, after, scales[21])
                 if not exact:
                     before, after = _tool(before, errors[n]), _tool(after, errors[n])
-                x, y, yaw = _stepped(x, y, yaw, before, after, worn, shape, scales, body, noise)
+                x, y, yaw = _stepped(x, y, yaw, before, after, parts, worn, shape, scales, body, noise)
             point, last = point_ends[instant - 1] if instant > 0 else 0, point_ends[instant]
             if point < last:
                 at_x, at_y, turned = x, y, yaw

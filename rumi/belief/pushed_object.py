@@ -1,6 +1,7 @@
 """Upright object that a level tool pushes, as trajectories need it: quasi-static steps with noise of their own."""
 
 import functools
+import math
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -17,7 +18,7 @@ from rumi.belief.trajectory_likelihood import replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
-from rumi.dynamics.sliding import Sliding, push, rotated
+from rumi.dynamics.sliding import Sliding, gathered, push, rotated
 from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
@@ -25,6 +26,11 @@ from sdf.base import SDF
 _ROUND_M = 1e-4  # by which a circle may differ from one
 _ABOVE_M = 1e-3  # that a lifted tool is above the object
 _GROUP = 8  # points of the tool's border that the compiled version leaves out together
+
+
+def parts_of(before: Float[Tensor, "3"], after: Float[Tensor, "3"], most_m: float) -> int:
+    """In how many parts the tool's way is taken, each no longer than `most_m`; 1 where that is 0."""
+    return max(1, math.ceil(float((after - before)[:2].norm()) / most_m - 1e-6)) if most_m > 0 else 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +148,8 @@ class PushedObject:
         like = some.new_tensor(self.spread_m * own.lever_ratio[0])
         sliding = Sliding(self.centre, like, some.new_tensor(own.friction[0]))
         whole = torch.cat((path[:1, 0], path[:, 1]))[None]
-        return push_along_path(some, whole, Pusher(self.tool), self.outline, sliding, substeps=1).track
+        parts = max(parts_of(before, after, own.push_m) for before, after in path)
+        return push_along_path(some, whole, Pusher(self.tool), self.outline, sliding, substeps=parts).track
 
     def step(
         self,
@@ -156,30 +163,50 @@ class PushedObject:
     ) -> Float[Tensor, "N 3"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
         tool = [each.expand(len(pose), 3) if errors is None else errors.tool(each) for each in (before, after)]
-        near = ((tool[1][:, :2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
+        parts, moved = parts_of(before, after, own.push_m), pose
+        for part in range(parts):
+            start, end = (torch.lerp(tool[0], tool[1], share / parts) for share in (part, part + 1))
+            moved = self._slid(own, moved, start, end, body, noise, errors)
+        step = moved - pose
+        length, turned = step[:, :2].norm(dim=-1), step[:, 2].abs()
+        size = length + own.m_per_rad * turned + torch.where((length > 0) | (turned > 0), own.least_m, 0.0)
+        way = torch.nn.functional.normalize(tool[1][:, :2] - tool[0][:, :2], dim=-1)
+        along = torch.where(length[:, None] > 1e-9, step[:, :2] / length[:, None].clamp_min(1e-9), way)
+        across = torch.stack((-along[:, 1], along[:, 0]), -1)
+        own_noise = noise[:, :3] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
+        shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
+        return moved + torch.cat((shift, own_noise[:, 2:]), -1)
+
+    def _slid(
+        self,
+        own: PoseTrajectorySettings,
+        pose: Float[Tensor, "N 3"],
+        before: Float[Tensor, "N 3"],
+        after: Float[Tensor, "N 3"],
+        body: Sliding,
+        noise: Float[Tensor, "N 5"],
+        errors: SystematicErrors | None,
+    ) -> Float[Tensor, "N 3"]:
+        """Poses after a small push by tools that each particle has where it has them, without the noise of it."""
+        near = ((after[:, :2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
         if not len(near):
             return pose
-        start, many = pose[near], len(near)
-        before, after = (each[near] for each in tool)
-        way = after[:, :2] - before[:, :2]
-        direction = way / way.norm(dim=-1, keepdim=True).clamp_min(1e-12)
-        ahead = self.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
+        start, before, after = pose[near], before[near], after[near]
+        direction = rotated(torch.nn.functional.normalize(after[:, :2] - before[:, :2], dim=-1), -start[:, 2])
+        share = own.ahead[0] + own.ahead[1] * body.centre[near, 2]
         centre = self.centre + own.centre_m * body.centre[near, :2] + own.centre_change_m * noise[near, 3:]
-        centre = centre + ahead[:, None] * rotated(direction, -start[:, 2])
-        sliding = Sliding(centre, body.lever[near], body.friction[near])
+        ahead, lever, friction = self.height_m * share, body.lever[near], body.friction[near]
+        if own.rim:
+            placed = after[:, None, :2] + rotated(self.tool, after[:, None, 2])
+            local = rotated(placed - start[:, None, :2], -start[:, None, 2])
+            touched = local[torch.arange(len(near)), self.outline(local).distance.argmin(-1)]
+            behind = ((centre - touched) * direction).sum(-1).clamp_min(0.0)
+            ahead, lever = gathered(share, self.height_m - friction * behind, lever)
+        sliding = Sliding(centre + ahead[:, None] * direction, lever, friction)
         # the tool of a worn object may be that much thicker before it touches it
-        thickness = start.new_zeros(many) if errors is None else -errors.worn_m[near]
+        thickness = start.new_zeros(len(near)) if errors is None else -errors.worn_m[near]
         moved, _ = push(start, before, after, self.tool, self.outline, sliding, thickness=thickness, passes=2)
-        step = moved - start
-        length = step[:, :2].norm(dim=-1)
-        turned = step[:, 2].abs()
-        moves = (length > 0) | (turned > 0)
-        size = length + own.m_per_rad * turned + torch.where(moves, own.least_m, 0.0)
-        along = torch.where(length[:, None] > 1e-9, step[:, :2] / length[:, None].clamp_min(1e-9), direction)
-        across = torch.stack((-along[:, 1], along[:, 0]), -1)
-        own_noise = noise[near, :3] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
-        shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
-        return pose.index_copy(0, near, moved + torch.cat((shift, own_noise[:, 2:]), -1))
+        return pose.index_copy(0, near, moved)
 
     def told_by_force(
         self,
@@ -190,7 +217,11 @@ class PushedObject:
     ) -> Float[Tensor, "N S"]:
         """Log-likelihood of the tool's force in each segment, up to a constant."""
         centre = self.centre + own.centre_m * physics[:, 2:4]
-        ahead = self.height_m * (own.ahead[0] + own.ahead[1] * physics[:, 4])
+        share = own.ahead[0] + own.ahead[1] * physics[:, 4]
+        ahead = self.height_m * share
+        if own.rim:  # as if touched straight behind at the rim: where it is touched no reading tells
+            lever = torch.full_like(share, self.spread_m * own.lever_ratio[0])
+            ahead, _ = gathered(share, self.height_m - own.friction[0] * lever, lever)
         return log_likelihood_of_forces(poses, centre, ahead, history, own)
 
     @functools.cached_property
@@ -207,7 +238,8 @@ class PushedObject:
             groups.append((*centre.tolist(), far, first, first + len(some)))
         outline = self.outline
         place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
-        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m))
+        radius = float(self.tool.norm(dim=-1).max())
+        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m, radius))
         return arrays_of((self.tool, self.tool.new_tensor(groups), outline.values, numbers))
 
 
@@ -231,7 +263,8 @@ def _replay_numba(
     scales, logs = tables(own)
     particles = arrays_of((first, least, poses, found, given.physics, given.noise))
     grid = grid_arguments(model.sdf, torch.float32)
-    scales = torch.cat((scales, scales.new_tensor([own.centre_change_m, own.least_m, own.missed, history.power])))
+    others = (own.centre_change_m, own.least_m, own.missed, history.power, bool(own.rim), own.push_m)
+    scales = torch.cat((scales, scales.new_tensor(others)))
     errors = SystematicErrors.of(own, given.systematic).table if own.systematic else scales.new_zeros(0, 6)
     eye = scales.new_zeros(0) if own.eye_m is None else scales.new_tensor(own.eye_m)
     if own.eye_m is not None:

@@ -1,6 +1,7 @@
 """Settings of trajectories of a pushed object: priors of its motion, noise of the sensors, effort of the filter."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
@@ -18,6 +19,16 @@ _OTHERS: dict[str, Any] = {
     "turn_rad_per_m": 3.0,
     "pad_slope_m": 0.0007,
 }
+# fitted to pushes of drawn, simulated mugs, which stand on the rim of their foot (results/push_models.md)
+_MUGS: dict[str, Any] = {
+    "lever_ratio": (1.3, 0.08),
+    "ahead": (0.45, 0.2),
+    "rim": True,
+    "centre_change_m": 0.015,
+    "along": 0.03,
+    "across": 0.027,
+    "turn_rad_per_m": 0.6,
+}
 
 
 @dataclass(frozen=True)
@@ -26,7 +37,8 @@ class PoseTrajectorySettings:
 
     Friction and lever of a particle are log-normal, and change a little from segment to segment. After each instant
     the pose is off by noise in proportion to the step, the same throughout a segment: the model's errors last. The
-    numbers of the motion and of the pads are fitted to pushes of drawn, simulated mugs (results/push_models.md).
+    numbers of the pads are fitted to pushes of drawn, simulated mugs (results/push_models.md), those of the motion in
+    `for_mugs`; what is left at its default is replaced by those of `for_mugs` or `for_others` in the plane.
 
     Attributes:
         particles: N, where a view shows the object.
@@ -48,7 +60,11 @@ class PoseTrajectorySettings:
         lever_ratio: median and log-deviation of c of the limit surface over the mean distance of the base from below
             the centre of mass.
         ahead: mean and deviation of how far the pressure's centre is ahead, in the direction of the push, as a share of
-            the tool's height above the floor: what is pushed high up tips.
+            the tool's height above the floor: what is pushed high up tips. The floor's friction, in theory.
+        rim: whether it rests on its rim or on corners: less goes ahead where friction at the tool holds its side down,
+            and the lever shrinks as the pressure gathers (`rumi.dynamics.sliding.gathered`). None for mugs alone.
+        push_m: longest part of the tool's way whose contacts are settled at once, metres: beyond the middle of a thin
+            handle the nearest way out is its far side. 0 for an instant's whole way.
         centre_m: deviation of the centre of friction from below the centre of mass, along x and along y.
         centre_change_m: deviation of a whole action's own shift of that centre, times how far the size of its noise is
             above 1: now and then the object turns about quite another place, as where a handle is hooked.
@@ -120,6 +136,8 @@ class PoseTrajectorySettings:
     friction: tuple[float, float] = (0.45, 0.3)
     lever_ratio: tuple[float, float] = (1.25, 0.12)
     ahead: tuple[float, float] = (0.25, 0.06)
+    rim: bool | None = None
+    push_m: float = 0.004
     centre_m: float = 0.001
     centre_change_m: float = 0.025
     friction_change: float = 0.1
@@ -173,12 +191,21 @@ class PoseTrajectorySettings:
     eye_m: tuple[float, float, float] | None = None
     most: tuple[int, int, int, int] = (500, 250, 60, 120)
 
+    def for_mugs(self) -> Self:
+        """The same for mugs: numbers of the motion that are left at their defaults are fitted ones.
+
+        Where `rim` is given, all of them are as they are: settings on record of before have it False.
+        """
+        return self if self.rim is not None else self._where_default(_MUGS)
+
     def for_others(self) -> Self:
         """The same for upright objects other than mugs: numbers that are left at their defaults are wide ones."""
-        fitted = type(self)()
-        return replace(
-            self, **{name: own for name, own in _OTHERS.items() if getattr(self, name) == getattr(fitted, name)}
-        )
+        return self._where_default(_OTHERS)
+
+    def _where_default(self, numbers: Mapping[str, Any]) -> Self:
+        usual = type(self)()
+        left = {name: own for name, own in numbers.items() if getattr(self, name) == getattr(usual, name)}
+        return replace(self, **left)
 
     @property
     def systematic(self) -> bool:

@@ -22,6 +22,7 @@ from torch import Tensor
 _WEDGED = 0.1
 
 _STICKS = 10.0  # friction beyond which nothing changes
+_RIM = 0.95  # share of the rim that the pressure goes at most: beyond it the object would tip over
 _ROOTS = 8  # steps of the Illinois method, which finds the force that moves a sticking contact as it is wanted
 
 
@@ -187,6 +188,25 @@ def quartic_twist(
     twist = (forward / torch.maximum(normal, _WEDGED * straight))[..., None] * twist
     most, size = wanted.norm(dim=-1) / _WEDGED, twist[..., :2].norm(dim=-1)
     return torch.where(size > most, most / size, torch.ones_like(size))[..., None] * twist
+
+
+def gathered(
+    share: Float[Tensor, "*b"], arm: Float[Tensor, "*b"], lever: Float[Tensor, "*b"]
+) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
+    """Shift of the pressure's centre under what rests on its rim as it is pushed, and the lever about there, metres.
+
+    A push at the height h tips the object towards its rim ahead, while friction n at a contact d behind the centre
+    holds that side down: by the balance of moments the pressure's centre goes ahead by a = m (h - n d), m being the
+    floor's friction. All pressure is on the rim, so that by the parallel axis theorem c^2 = R^2 - a^2, with R the lever
+    at rest: what stands on the edge of its rim turns about it.
+
+    Args:
+        share: m.
+        arm: h - n d; below 0 nothing shifts.
+        lever: R.
+    """
+    ahead = torch.minimum((share * arm).clamp_min(0.0), _RIM * lever)
+    return ahead, (lever.square() - ahead.square()).sqrt()
 
 
 def turned_quartic(quartic: Float[Tensor, "*b 5"], angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b 5"]:

@@ -5,6 +5,7 @@ import math
 from sdf.compiled import bare
 
 _WEDGED = 0.1
+_RIM = 0.95
 _STICKS = 10.0
 _ROOTS = 8
 
@@ -121,6 +122,13 @@ def quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin):
     if gone > most:
         size *= most / gone
     return size * vx, size * vy, size * turn
+
+
+@bare
+def gathered(share, arm, lever):
+    """Shift of the pressure's centre as what rests on its rim is pushed, and the lever about there; see `gathered`."""
+    ahead = min(max(0.0, share * arm), _RIM * lever)
+    return ahead, math.sqrt(lever * lever - ahead * ahead)
 
 
 @bare

@@ -61,14 +61,15 @@ def long_history() -> History:
     return history.appended(segment(approach(-0.05, 0.005, 4, y=-0.02), points=0))
 
 
-def test_the_compiled_replay_is_the_plain_one(model):
+@pytest.mark.parametrize("own", [OWN, replace(OWN, push_m=0.0), replace(OWN, rim=True, ahead=(1.0, 0.5), push_m=0.002)])
+def test_the_compiled_replay_is_the_plain_one(model, own):
     history = long_history()
     given, first = drawn(history, 40), torch.arange(40) % len(history)
     found = {}
     for version in ("torch", "numba"):
         with backend.force(version):
-            whole = given.replayed(model, OWN, history, torch.zeros(40, dtype=torch.long))
-            found[version] = whole, whole.replayed(model, OWN, history, first)
+            whole = given.replayed(model, own, history, torch.zeros(40, dtype=torch.long))
+            found[version] = whole, whole.replayed(model, own, history, first)
     for one, other in zip(*found.values(), strict=True):
         assert float((one.poses[:, -1, :2] - one.poses[:, 0, :2]).norm(dim=-1).max()) > 0.01  # it was pushed
         torch.testing.assert_close(one.poses, other.poses, atol=2e-7, rtol=0)
@@ -134,7 +135,8 @@ def test_a_thin_bar_is_pushed_alike_by_any_place_of_a_side(along):
 
 def test_two_particles_by_hand(model):
     """Without noise and shifts the motion is the push model's; the likelihood sums points at their instants."""
-    own = replace(OWN, friction_change=0.0, ahead=(0.0, 0.0), centre_m=0.0, along=0.0, across=0.0, turn_rad_per_m=0.0)
+    still = {"friction_change": 0.0, "ahead": (0.0, 0.0), "centre_m": 0.0, "push_m": 0.0}
+    own = replace(OWN, **still, along=0.0, across=0.0, turn_rad_per_m=0.0)
     point = torch.tensor([[-0.045, 0.0, 0.0]], **DOUBLE).repeat(2, 1)
     both = Segment(
         approach(),
@@ -291,3 +293,10 @@ def test_numbers_for_others_leave_what_is_set() -> None:
     assert (
         wide.along > fitted.along and wide.pad_slope_m > fitted.pad_slope_m and wide.lever_ratio != fitted.lever_ratio
     )
+
+
+def test_numbers_for_mugs_leave_what_is_set_and_settings_of_before() -> None:
+    own = PoseTrajectorySettings(across=0.02, particles=30).for_mugs()
+    assert own.rim and (own.across, own.particles) == (0.02, 30) and own.ahead != PoseTrajectorySettings().ahead
+    before = PoseTrajectorySettings(rim=False, push_m=0.0)
+    assert before.for_mugs() == before and not PoseTrajectorySettings().for_others().rim

@@ -33,7 +33,7 @@ def trajectory_update(setup: Setup) -> Case:
     )
     count = setup.size(150, 8)
     settings = FilterSettings(motion="trajectory")
-    own = replace(settings.trajectories, particles=count)
+    own = replace(settings.trajectories, particles=count).for_mugs()
     settings = replace(settings, trajectories=own)
     followed = PoseTrajectoryFilter(settings, Discrepancy(sdf, 0.08, free_scale=80.0, tolerance=0.001), model)
     random = split(0, "bench/trajectories")

@@ -216,8 +216,9 @@ def trajectory_filter(
         resting_m: of an upright object's origin above the floor.
     """
     spacing = settings.trajectories.pad_spacing_m
-    if is_planar(spec) and not isinstance(model.exact, Mug):
-        settings = replace(settings, trajectories=settings.trajectories.for_others())
+    if is_planar(spec):
+        own = settings.trajectories
+        settings = replace(settings, trajectories=own.for_mugs() if isinstance(model.exact, Mug) else own.for_others())
     if spec.looks_again:
         settings = replace(settings, trajectories=settings.trajectories.seen_again())
     own, systematic = settings.trajectories, settings.stated_errors != "noise" and is_planar(spec)

@@ -182,13 +182,15 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     if "made_with" in values and "filter" in values:
         # runs on record that do not say otherwise are of before errors of a whole run were particles' own, populations
         # exchanged particles, what is felt standing still counted less, what is pushed in space slipped, a camera
-        # that looks again was evidence of each particle's own motion, and each cell that a view sees through counted
+        # that looks again was evidence of each particle's own motion, each cell that a view sees through counted, and
+        # what stands on its rim turned about it
         following = {"stated_errors": "noise", **values["filter"]}
         spec = (SCENES | DRAWN).get(values.get("task", ""))
         if spec is not None and spec.looks_again and "seen_again_points" not in following.get("trajectories", {}):
             following["unmeasured"] = following.get("unmeasured") or "corrected"
         if "trajectories" in following:
-            following["trajectories"] = {"exchanged": 0.0, "fresh_m": 0.0, "slip": 0.0, **following["trajectories"]}
+            once = {"exchanged": 0.0, "fresh_m": 0.0, "slip": 0.0, "rim": False, "push_m": 0.0}
+            following["trajectories"] = once | following["trajectories"]
             if "free_points" not in following["trajectories"]:
                 again = spec is not None and spec.looks_again
                 following["trajectories"] |= _views_alike(following["trajectories"], again=again)

@@ -71,12 +71,13 @@ def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
     with build(settings, cache_dir=cache) as (_, agent):
         camera = find_task("mug").camera
         assert camera is not None
-        own = replace(OWN, eye_m=camera.position)
+        mugs = OWN.for_mugs()
+        own = replace(mugs, eye_m=camera.position)
         found = as_inexact(own, settings.simulator, agent.model.sdf.bounds)
         assert agent.filter.settings.trajectories == found and found.systematic
         noise_m = settings.simulator.sensors.depth_noise_m
         assert found.seen_sd_m == pytest.approx(math.hypot(OWN.seen_sd_m, noise_m)) and noise_m > 0
-        nearer = as_inexact(OWN, settings.simulator, agent.model.sdf.bounds)  # nobody knows where the camera is
+        nearer = as_inexact(mugs, settings.simulator, agent.model.sdf.bounds)  # nobody knows where the camera is
         assert nearer.seen_sd_m == OWN.seen_sd_m and nearer.view_off_m > found.view_off_m
         assert found.moved_m == pytest.approx(math.hypot(OWN.moved_m, settings.simulator.sensors.motion_noise_m))
         assert found.moved_m > OWN.moved_m and found.moved_rad > OWN.moved_rad
@@ -150,6 +151,15 @@ def test_runs_on_record_keep_what_their_errors_counted_as():
     before = from_dict(made | {"made_with": {}}).filter
     assert before.stated_errors == "noise" and before.trajectories.exchanged == 0.0
     assert from_dict(made).filter.stated_errors == "auto"
+
+
+def test_runs_on_record_keep_how_mugs_were_pushed():
+    made = to_dict(preset(task="mug"))
+    for name in ("rim", "push_m"):
+        del made["filter"]["trajectories"][name]
+    own = from_dict(made | {"made_with": {}}).filter.trajectories
+    assert own.for_mugs() == own and (own.rim, own.push_m) == (False, 0.0)
+    assert from_dict(made).filter.trajectories.for_mugs() != own
 
 
 @pytest.mark.parametrize(("task", "worth"), [("mug", 25.0), ("drawn-shelf-mug", 8.0)])
