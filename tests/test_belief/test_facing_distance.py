@@ -8,7 +8,7 @@ import torch
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Kind, Segment
-from rumi.belief.trajectory_likelihood import FACING, FACING_M, facing_distance
+from rumi.belief.trajectory_likelihood import FACING, FACING_M, facing_distance, facing_steps
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
@@ -103,6 +103,18 @@ def test_noise_draws_no_thin_wall_to_the_camera(cup):
     assert abs(best["knows"]) <= 0.0005 and best["does not"] <= -0.001
     told = log_likelihood(cup, KNOWS, history, start)
     assert float(told[0]) < float(told.max()) - 10.0  # where the far side of the wall would be in the near one's place
+
+
+def test_noise_wider_than_a_wall_draws_none_either(cup):
+    """With noise of 4.5 mm the look-out for the front reaches two deviations; at 5 mm it would be off by some."""
+    own = replace(KNOWS, seen_sd_m=0.0045)
+    assert facing_steps(own) == 9 and facing_steps(KNOWS) == FACING
+    history = seen(front(2000, 0.0045))
+    shifts = torch.linspace(-0.008, 0.008, 33, **DOUBLE)
+    start = torch.zeros(33, 3, **DOUBLE)
+    start[:, 0] = shifts
+    told = log_likelihood(cup, own, history, start)
+    assert abs(float(shifts[told.argmax()])) <= 0.001
 
 
 def test_a_camera_that_is_nowhere_is_refused():
