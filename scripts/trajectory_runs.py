@@ -39,7 +39,7 @@ _OTHERS = (
     "force_n|force_per_m|lean|soft|grip|missed|dead|tool_off_m|tool_off_rad|worn|view_off_m|least_m|first_particles"
 )
 _NOT_HERE = re.compile(rf", ({_OTHERS})=(\([^)]*\)|[^,)]*)")
-DEFAULTS = hashlib.sha256(_NOT_HERE.sub("", repr(PoseTrajectorySettings())).encode()).hexdigest()[:8]
+DEFAULTS = hashlib.sha256(_NOT_HERE.sub("", repr(PoseTrajectorySettings().for_mugs())).encode()).hexdigest()[:8]
 Motion = Literal["trajectory", "corrected", "estimated", "pushed", "measured"]
 
 

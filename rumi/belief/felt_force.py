@@ -21,7 +21,7 @@ _STILL_M = 1e-6  # below which nothing was pushed, whatever was felt
 def log_likelihood_of_forces(
     poses: Float[Tensor, "N S1 3"],
     centre: Float[Tensor, "N 2"],
-    ahead_m: Float[Tensor, "N"],
+    ahead_m: Float[Tensor, "N #S"],
     history: History,
     own: PoseTrajectorySettings,
 ) -> Float[Tensor, "N S"]:
@@ -34,16 +34,21 @@ def log_likelihood_of_forces(
         history: what was done and sensed.
         own: of `force_rad` and `outliers`.
     """
-    ends = history.ends
-    begins = torch.cat((torch.zeros_like(ends[:1]), ends[:-1]))
-    way = (history.tool[ends - 1, 1] - history.tool[begins, 0])[:, :2]
-    way = way / way.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    way = directions_of(history)
     place = poses[..., :2] + rotated(centre[:, None].expand(*poses.shape[:-1], 2), poses[..., 2])
     turn = poses[:, 1:, 2] - poses[:, :-1, 2]
     across = torch.stack((-way[:, 1], way[:, 0]), -1)
-    step = place[:, 1:] - place[:, :-1] + (ahead_m[:, None] * turn)[..., None] * across
+    step = place[:, 1:] - place[:, :-1] + (ahead_m * turn)[..., None] * across
     force = history.force[:, :2]
     off = torch.atan2(step[..., 0] * force[:, 1] - step[..., 1] * force[:, 0], (step * force).sum(-1))
     off = torch.where(step.norm(dim=-1) > _STILL_M, off, math.pi)
     near = own.outliers + (1.0 - own.outliers) * (-0.5 * (off / own.force_rad).square()).exp()
     return history.force[:, 2] * near.log()
+
+
+def directions_of(history: History) -> Float[Tensor, "S 2"]:
+    """Unit vector from where the tool begins each segment to where it ends; 0 where it goes nowhere."""
+    ends = history.ends
+    begins = torch.cat((torch.zeros_like(ends[:1]), ends[:-1]))
+    way = (history.tool[ends - 1, 1] - history.tool[begins, 0])[:, :2]
+    return way / way.norm(dim=-1, keepdim=True).clamp_min(1e-12)

@@ -29,7 +29,8 @@ def _deepest(x, y, yaw, at_tool, worn, tool, groups, table, numbers):
     off_x, off_y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
     cos, sin = tool_cos * cos + tool_sin * sin, tool_sin * cos - tool_cos * sin
     edge = max(0.0, -worn)
-    radius, slack = numbers[4] + edge, 2.0 * numbers[2]
+    # between nodes at a corner the table is below 0 a little beyond its radius
+    radius, slack = numbers[4] + numbers[2] + edge, 2.0 * numbers[2]
     square = radius * radius
     least, best, at_x, at_y = math.inf, 0, 0.0, 0.0
     for group in range(len(groups)):
@@ -103,7 +104,7 @@ def _apart(x, y, yaw, before, after, worn, shape):
     """Whether the tool, where it ends, is farther from the object than it went: it touched nothing on the way."""
     tool, groups, table, numbers = shape
     way_x, way_y = after[0] - before[0], after[1] - before[1]
-    travel = math.sqrt(way_x * way_x + way_y * way_y) + numbers[9] * abs(after[2] - before[2])
+    travel = math.sqrt(way_x * way_x + way_y * way_y) + (numbers[3] - numbers[4]) * abs(after[2] - before[2])
     far_x, far_y, reach = after[0] - x, after[1] - y, numbers[3] + travel
     if far_x * far_x + far_y * far_y >= reach * reach:
         return True
@@ -132,7 +133,7 @@ def _slid(x, y, yaw, before, after, worn, shape, rim, body):
     cos, sin = math.cos(yaw), math.sin(yaw)
     in_x, in_y = cos * unit_x + sin * unit_y, cos * unit_y - sin * unit_x
     ahead, lever = numbers[8] * body[2], body[3]
-    if rim > 0.0:
+    if rim > 0.0 and length > 1e-9:  # what a turn of the tool alone pushes goes nowhere ahead
         behind = (body[0] - at_x) * in_x + (body[1] - at_y) * in_y
         ahead, lever = gathered(body[2], numbers[8] - body[4] * max(0.0, behind), lever)
     centre_x, centre_y = body[0] + ahead * in_x, body[1] + ahead * in_y
@@ -200,12 +201,13 @@ def _stepped(x, y, yaw, before, after, parts, worn, shape, scales, body, noise):
 
 
 @bare
-def parts_of(before, after, most):
-    """In how many parts the tool's way is taken, each no longer than `most`; 1 where that is 0."""
+def parts_of(before, after, radius, most):
+    """In how many parts a tool's motion is taken, in each of which none of it goes farther; 1 where that is 0."""
     if most <= 0.0:
         return 1
     way_x, way_y = after[0] - before[0], after[1] - before[1]
-    return max(1, math.ceil(math.sqrt(way_x * way_x + way_y * way_y) / most - 1e-6))
+    travel = math.sqrt(way_x * way_x + way_y * way_y) + radius * abs(after[2] - before[2])
+    return max(1, math.ceil(travel / most - 1e-6))
 
 
 @bare
@@ -261,7 +263,7 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
             if pushes[instant]:
                 before = (path[instant, 0, 0], path[instant, 0, 1], path[instant, 0, 2])
                 after = (path[instant, 1, 0], path[instant, 1, 1], path[instant, 1, 2])
-                parts = parts_of(before, after, scales[21])
+                parts = parts_of(before, after, numbers[3] - numbers[4], scales[21])
                 if not exact:
                     before, after = _tool(before, errors[n]), _tool(after, errors[n])
                 x, y, yaw = _stepped(x, y, yaw, before, after, parts, worn, shape, scales, body, noise)

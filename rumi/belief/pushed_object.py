@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.felt_force import log_likelihood_of_forces
+from rumi.belief.felt_force import directions_of, log_likelihood_of_forces
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.trajectory_history import History, arrays_of
@@ -25,12 +25,16 @@ from sdf.base import SDF
 
 _ROUND_M = 1e-4  # by which a circle may differ from one
 _ABOVE_M = 1e-3  # that a lifted tool is above the object
+_FEW = 16  # points of the tool's border, about, of which the nearest to an object is taken to touch it
 _GROUP = 8  # points of the tool's border that the compiled version leaves out together
 
 
-def parts_of(before: Float[Tensor, "3"], after: Float[Tensor, "3"], most_m: float) -> int:
-    """In how many parts the tool's way is taken, each no longer than `most_m`; 1 where that is 0."""
-    return max(1, math.ceil(float((after - before)[:2].norm()) / most_m - 1e-6)) if most_m > 0 else 1
+def parts_of(before: Float[Tensor, "3"], after: Float[Tensor, "3"], radius_m: float, most_m: float) -> int:
+    """In how many parts a tool's motion is taken, in each of which none of it goes farther; 1 where that is 0."""
+    if most_m <= 0:
+        return 1
+    travel = float((after - before)[:2].norm()) + radius_m * abs(float(after[2] - before[2]))
+    return max(1, math.ceil(travel / most_m - 1e-6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +98,12 @@ class PushedObject:
     @functools.cached_property
     def reach_m(self) -> float:
         """Distance from the tool's origin beyond which nothing is touched."""
-        return float(self.tool.norm(dim=-1).max()) + self.outline.radius
+        return self.radius_m + self.outline.radius
+
+    @functools.cached_property
+    def radius_m(self) -> float:
+        """Greatest distance of the tool's border from its origin."""
+        return float(self.tool.norm(dim=-1).max())
 
     @functools.cached_property
     def round_m(self) -> float | None:
@@ -144,11 +153,11 @@ class PushedObject:
     def tracks(
         self, own: PoseTrajectorySettings, some: Float[Tensor, "n 3"], path: Float[Tensor, "K 2 3"]
     ) -> Float[Tensor, "n K 3"]:
-        """Where poses go by the median of the prior."""
+        """Where poses go by the median of the prior, pressure staying where it is at rest."""
         like = some.new_tensor(self.spread_m * own.lever_ratio[0])
         sliding = Sliding(self.centre, like, some.new_tensor(own.friction[0]))
         whole = torch.cat((path[:1, 0], path[:, 1]))[None]
-        parts = max(parts_of(before, after, own.push_m) for before, after in path)
+        parts = max(parts_of(before, after, self.radius_m, own.push_m) for before, after in path)
         return push_along_path(some, whole, Pusher(self.tool), self.outline, sliding, substeps=parts).track
 
     def step(
@@ -163,7 +172,7 @@ class PushedObject:
     ) -> Float[Tensor, "N 3"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
         tool = [each.expand(len(pose), 3) if errors is None else errors.tool(each) for each in (before, after)]
-        parts, moved = parts_of(before, after, own.push_m), pose
+        parts, moved = parts_of(before, after, self.radius_m, own.push_m), pose
         for part in range(parts):
             start, end = (torch.lerp(tool[0], tool[1], share / parts) for share in (part, part + 1))
             moved = self._slid(own, moved, start, end, body, noise, errors)
@@ -201,7 +210,9 @@ class PushedObject:
             local = rotated(placed - start[:, None, :2], -start[:, None, 2])
             touched = local[torch.arange(len(near)), self.outline(local).distance.argmin(-1)]
             behind = ((centre - touched) * direction).sum(-1).clamp_min(0.0)
-            ahead, lever = gathered(share, self.height_m - friction * behind, lever)
+            goes = direction.norm(dim=-1) > 0.5  # what a turn of the tool alone pushes goes nowhere ahead
+            shifted = gathered(share, self.height_m - friction * behind, lever)
+            ahead, lever = torch.where(goes, shifted[0], ahead), torch.where(goes, shifted[1], lever)
         sliding = Sliding(centre + ahead[:, None] * direction, lever, friction)
         # the tool of a worn object may be that much thicker before it touches it
         thickness = start.new_zeros(len(near)) if errors is None else -errors.worn_m[near]
@@ -217,12 +228,27 @@ class PushedObject:
     ) -> Float[Tensor, "N S"]:
         """Log-likelihood of the tool's force in each segment, up to a constant."""
         centre = self.centre + own.centre_m * physics[:, 2:4]
-        share = own.ahead[0] + own.ahead[1] * physics[:, 4]
+        share = (own.ahead[0] + own.ahead[1] * physics[:, 4])[:, None]
         ahead = self.height_m * share
-        if own.rim:  # as if touched straight behind at the rim: where it is touched no reading tells
-            lever = torch.full_like(share, self.spread_m * own.lever_ratio[0])
-            ahead, _ = gathered(share, self.height_m - own.friction[0] * lever, lever)
+        if own.rim:
+            friction = own.friction[0] * (own.friction[1] * physics[:, :1]).exp()
+            lever = self.spread_m * own.lever_ratio[0] * (own.lever_ratio[1] * physics[:, 1:2]).exp()
+            arm = self.height_m - friction * self._behind(centre, poses[:, 1:], history)
+            ahead, _ = gathered(share.expand_as(arm), arm, lever.expand_as(arm))
         return log_likelihood_of_forces(poses, centre, ahead, history, own)
+
+    def _behind(
+        self, centre: Float[Tensor, "N 2"], poses: Float[Tensor, "N S 3"], history: History
+    ) -> Float[Tensor, "N S"]:
+        """How far behind the centre of friction the tool is at the end of each segment, where it is nearest to it."""
+        last = history.ends - 1
+        tool, way = history.tool[last, 1], directions_of(history)
+        border = tool[:, None, :2] + rotated(self.tool[:: max(1, len(self.tool) // _FEW)], tool[:, None, 2])
+        middle = poses[..., :2] + rotated(centre[:, None].expand(*poses.shape[:-1], 2), poses[..., 2])
+        off = middle[:, :, None] - border
+        nearest = off.square().sum(-1).argmin(-1)
+        there = off.gather(2, nearest[..., None, None].expand(*nearest.shape, 1, 2))[:, :, 0]
+        return (there * way).sum(-1).clamp_min(0.0)
 
     @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -238,8 +264,7 @@ class PushedObject:
             groups.append((*centre.tolist(), far, first, first + len(some)))
         outline = self.outline
         place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
-        radius = float(self.tool.norm(dim=-1).max())
-        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m, radius))
+        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m))
         return arrays_of((self.tool, self.tool.new_tensor(groups), outline.values, numbers))
 
 

@@ -42,10 +42,3 @@ def as_believed(
         m_per_rad=spread_m,
         **_OWN,  # type: ignore[arg-type]
     )
-
-
-def where_default(own: PoseTrajectorySettings, new: PoseTrajectorySettings) -> PoseTrajectorySettings:
-    """The settings with those of others in the place of what is left at its default."""
-    usual = PoseTrajectorySettings()
-    names = [name for name in vars(usual) if getattr(own, name) == getattr(usual, name)]
-    return replace(own, **{name: getattr(new, name) for name in names})

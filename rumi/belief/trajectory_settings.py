@@ -62,7 +62,8 @@ class PoseTrajectorySettings:
         ahead: mean and deviation of how far the pressure's centre is ahead, in the direction of the push, as a share of
             the tool's height above the floor: what is pushed high up tips. The floor's friction, in theory.
         rim: whether it rests on its rim or on corners: less goes ahead where friction at the tool holds its side down,
-            and the lever shrinks as the pressure gathers (`rumi.dynamics.sliding.gathered`). None for mugs alone.
+            and the lever shrinks as the pressure gathers (`rumi.dynamics.sliding.gathered`). None: True of mugs,
+            else False.
         push_m: longest part of the tool's way whose contacts are settled at once, metres: beyond the middle of a thin
             handle the nearest way out is its far side. 0 for an instant's whole way.
         centre_m: deviation of the centre of friction from below the centre of mass, along x and along y.
@@ -194,15 +195,16 @@ class PoseTrajectorySettings:
     def for_mugs(self) -> Self:
         """The same for mugs: numbers of the motion that are left at their defaults are fitted ones.
 
-        Where `rim` is given, all of them are as they are: settings on record of before have it False.
+        Where `rim` is False all of them are as they are: so settings on record of before have it.
         """
-        return self if self.rim is not None else self._where_default(_MUGS)
+        return self if self.rim is False else self.where_default(_MUGS)
 
     def for_others(self) -> Self:
         """The same for upright objects other than mugs: numbers that are left at their defaults are wide ones."""
-        return self._where_default(_OTHERS)
+        return self.where_default(_OTHERS)
 
-    def _where_default(self, numbers: Mapping[str, Any]) -> Self:
+    def where_default(self, numbers: Mapping[str, Any]) -> Self:
+        """The same with other numbers in the place of those that are left at their defaults."""
         usual = type(self)()
         left = {name: own for name, own in numbers.items() if getattr(self, name) == getattr(usual, name)}
         return replace(self, **left)

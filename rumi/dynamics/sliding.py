@@ -201,11 +201,11 @@ def gathered(
     at rest: what stands on the edge of its rim turns about it.
 
     Args:
-        share: m.
-        arm: h - n d; below 0 nothing shifts.
+        share: m; below 0 nothing shifts.
+        arm: h - n d, likewise.
         lever: R.
     """
-    ahead = torch.minimum((share * arm).clamp_min(0.0), _RIM * lever)
+    ahead = torch.minimum(share.clamp_min(0.0) * arm.clamp_min(0.0), _RIM * lever)
     return ahead, (lever.square() - ahead.square()).sqrt()
 
 

@@ -127,7 +127,7 @@ def quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin):
 @bare
 def gathered(share, arm, lever):
     """Shift of the pressure's centre as what rests on its rim is pushed, and the lever about there; see `gathered`."""
-    ahead = min(max(0.0, share * arm), _RIM * lever)
+    ahead = min(max(0.0, share) * max(0.0, arm), _RIM * lever)
     return ahead, math.sqrt(lever * lever - ahead * ahead)
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel, SignalSettings
 from rumi.belief.motion import Motion
-from rumi.belief.pushed_prior import as_believed, where_default
+from rumi.belief.pushed_prior import as_believed
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.outline import support_of
 from rumi.errors import UsageError
@@ -87,7 +87,7 @@ def _trajectories(mapping: BagMap, settings: Settings) -> PoseTrajectorySettings
     new = replace(own, tool_off_m=mapping.tool.off_m)
     if wrench is not None and wrench.level:
         new = replace(new, **_OF_ROD, force_n=max(wrench.force_n, _DRIFT_N))
-    return where_default(own, new)
+    return own.where_default(vars(new))
 
 
 def rummager_of_map(
@@ -131,7 +131,7 @@ def rummager_of_map(
         workspace = Workspace.from_bounds(bounds, 0.01, planar_height=min(height, _BELOW_TOP * (high - low)))
     if settings.filter.trajectories.lone and not spatial:
         own = settings.filter.trajectories
-        own = where_default(own, as_believed(own, support_of(model.sdf).spread))
+        own = own.where_default(vars(as_believed(own, support_of(model.sdf).spread)))
         settings = replace(settings, filter=replace(settings.filter, trajectories=own))
     made = rummager(
         model,

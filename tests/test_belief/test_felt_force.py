@@ -32,7 +32,7 @@ def likelihood(poses, history, *, centre=(0.0, 0.0), ahead=0.0):
     poses = torch.tensor(poses, **DOUBLE)
     count = len(poses)
     return log_likelihood_of_forces(
-        poses, torch.tensor(centre, **DOUBLE).expand(count, 2), torch.full((count,), ahead, **DOUBLE), history, OWN
+        poses, torch.tensor(centre, **DOUBLE).expand(count, 2), torch.full((count, 1), ahead, **DOUBLE), history, OWN
     )
 
 
@@ -89,7 +89,7 @@ def test_a_replay_adds_forces_from_its_first_segment_on_once():
         unfelt = given.replayed(
             block, own, replace(history, force=0.0 * history.force), torch.zeros(2, dtype=torch.long)
         )
-    told = log_likelihood_of_forces(whole.poses, none.expand(2, 2), none, history, own)
+    told = log_likelihood_of_forces(whole.poses, none.expand(2, 2), none[:, None], history, own)
     torch.testing.assert_close(whole.log_likelihood, unfelt.log_likelihood + told)
     assert bool((told[:, 1] < 0).all()) and not bool(told[:, 0].any())
     torch.testing.assert_close(again.log_likelihood, whole.log_likelihood)

@@ -57,7 +57,10 @@ def drawn(history: History, count: int, *, seed=1, spread=(0.004, 0.004, 0.2)) -
 
 def long_history() -> History:
     history = History.empty().appended(segment(pushes=False, path=torch.zeros(1, 2, 3, **DOUBLE), points=30, seed=5))
-    history = history.appended(segment()).appended(segment(approach(-0.074, 0.004, 5), seed=2), opens=False)
+    turning = approach(-0.074, 0.004, 5)
+    turning[:, 1, 2] = turning[1:, 0, 2].new_tensor([0.02, 0.05, 0.03, -0.04, 0.0])
+    turning[1:, 0, 2] = turning[:-1, 1, 2].clone()
+    history = history.appended(segment()).appended(segment(turning, seed=2), opens=False)
     return history.appended(segment(approach(-0.05, 0.005, 4, y=-0.02), points=0))
 
 
@@ -280,7 +283,7 @@ def test_settings_without_meaning_are_refused(change):
 def test_noise_of_other_objects_has_room_for_what_tips_and_rolls() -> None:
     # a motion that is off by many deviations costs little of the prior: its size is drawn, too
     size = torch.linspace(0.0, 8.0, 801, **DOUBLE)
-    for own in (PoseTrajectorySettings(), PoseTrajectorySettings().for_others()):
+    for own in (PoseTrajectorySettings().for_mugs(), PoseTrajectorySettings().for_others()):
         for deviations, nats in ((3.0, 3.0), (6.0, 4.5), (10.0, 6.0)):
             z = deviations * (-0.5 * own.tails * size.square()).exp()
             assert float((0.5 * (z.square() + size.square())).min()) < nats
@@ -288,7 +291,7 @@ def test_noise_of_other_objects_has_room_for_what_tips_and_rolls() -> None:
 
 def test_numbers_for_others_leave_what_is_set() -> None:
     own = PoseTrajectorySettings(across=0.02, particles=30)
-    wide, fitted = own.for_others(), PoseTrajectorySettings()
+    wide, fitted = own.for_others(), PoseTrajectorySettings().for_mugs()
     assert (wide.across, wide.particles, wide.seen_sd_m) == (0.02, 30, own.seen_sd_m)
     assert (
         wide.along > fitted.along and wide.pad_slope_m > fitted.pad_slope_m and wide.lever_ratio != fitted.lever_ratio
