@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from rumi.belief.silence_numba import SILENT, told_by_silence
-from rumi.belief.trajectory_likelihood import FACING_M
+from rumi.belief.trajectory_likelihood import FACING
 from rumi.dynamics.sliding_numba import gathered, settled, slope, turned, value
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import between, fast, lattice_of
@@ -69,7 +69,7 @@ def _readings(first, last, pose, worn, points, weight, row, logs, inverse, flat,
 
 
 @fast
-def _seen(first, last, pose, worn, toward, steps, points, weight, row, logs, inverse, flat, lattice):
+def _seen(first, last, pose, worn, toward, step, points, weight, row, logs, inverse, flat, lattice):
     """The same of points that a camera saw, of their distances from the surface that faces it."""
     x, y, cos, sin = pose
     step_x, step_y, step_z = toward
@@ -81,21 +81,21 @@ def _seen(first, last, pose, worn, toward, steps, points, weight, row, logs, inv
         dx, dy, z = at(points, m) - x, at(points, count + m) - y, at(points, 2 * count + m)
         place_x, place_y = cos * dx + sin * dy, cos * dy - sin * dx
         now, gone, goes = distance_at(place_x, place_y, z, flat, lattice), np.float32(0.0), True
-        for turn in range(1, steps + 1):
+        for turn in range(1, FACING + 1):
             way = np.float32(turn)
             ahead = distance_at(place_x + way * step_x, place_y + way * step_y, z + way * step_z, flat, lattice)
             goes = goes and ahead < now
             now = ahead if goes else now
-            gone = way * np.float32(FACING_M) if goes else gone
+            gone = way * step if goes else gone
         total += at(weight, m) * between((now - gone) * inverse + half, top, priced, at(row, m))
     return total
 
 
 @bare
-def _toward(x, y, cos, sin, eye):
+def _toward(x, y, cos, sin, eye, step):
     """A step from the object towards the camera, in the object's frame."""
     dx, dy, dz = eye[0] - x, eye[1] - y, eye[2]
-    size = FACING_M / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
+    size = step / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
     return np.float32(size * (cos * dx + sin * dy)), np.float32(size * (cos * dy - sin * dx)), np.float32(size * dz)
 
 
@@ -244,7 +244,7 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
     ahead = scales[4] + scales[5] * physics[n, 4]
     centre_x, centre_y = numbers[6] + scales[6] * physics[n, 2], numbers[7] + scales[6] * physics[n, 3]
     own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])
-    inverse, steps = np.float32(1.0 / scales[15]), int(scales[22])
+    inverse, step = np.float32(1.0 / scales[15]), np.float32(scales[22])
     for segment in range(begin, len(ends)):
         shared, log = action[segment], 0.0
         friction = scales[0] * math.exp(scales[1] * physics[n, 0] + scales[7] * noises[n, segment, 0])
@@ -281,9 +281,9 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
                     shown = point
                     while shown < behind and row[shown] == 0:
                         shown += 1
-                    toward = _toward(at_x, at_y, math.cos(turned), math.sin(turned), eye)
+                    toward = _toward(at_x, at_y, math.cos(turned), math.sin(turned), eye, scales[22])
                     log += _seen(
-                        point, shown, pose, thin, toward, steps, points, weight, row, logs, inverse, flat, lattice
+                        point, shown, pose, thin, toward, step, points, weight, row, logs, inverse, flat, lattice
                     )
                     point = shown
                 log += _readings(point, behind, pose, thin, points, weight, row, logs, inverse, flat, lattice)

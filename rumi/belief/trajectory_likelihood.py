@@ -19,18 +19,20 @@ from sdf.base import SDF
 # compiled versions look likelihoods up over distances: metres between nodes
 _STEP_M = 3e-5
 
-FACING_M, FACING, FACING_DEVIATIONS = 0.001, 5, 2.0
-"""Steps towards a camera in which the side of a wall that faces it is looked for, how many at least, and how many
-deviations of what is seen they reach: behind a wall that is out of reach a point would count as near its back."""
+FACING_M, FACING = 0.001, 5
+"""Length of a step towards a camera, at least, in which the side of a wall that faces it is looked for; how many."""
+
+_DEVIATIONS = 2.0  # of what is seen, that the steps reach: behind a wall out of reach a point counts as near its back
 
 
-def facing_steps(own: PoseTrajectorySettings) -> int:
-    """Number of steps towards a camera in which the side of a wall that faces it is looked for."""
-    return max(FACING, math.ceil(FACING_DEVIATIONS * own.seen_sd_m / FACING_M - 1e-6))
+def facing_step_m(own: PoseTrajectorySettings) -> float:
+    """Length of a step towards a camera in which the side of a wall that faces it is looked for."""
+    reach_m = _DEVIATIONS * own.seen_sd_m
+    return FACING_M if reach_m <= FACING * FACING_M + 1e-9 else reach_m / FACING
 
 
 def facing_distance(
-    sdf: SDF, points: Float[Tensor, "N M 3"], eye: Float[Tensor, "N 3"], steps: int = FACING
+    sdf: SDF, points: Float[Tensor, "N M 3"], eye: Float[Tensor, "N 3"], step_m: float = FACING_M
 ) -> Float[Tensor, "N M"]:
     """Signed distance of seen points from the surface that faces the camera, metres, below 0 behind it.
 
@@ -41,15 +43,15 @@ def facing_distance(
         sdf: of the object.
         points: in its frame.
         eye: of the camera, in its frame; it is far, so that all points see it in one direction.
-        steps: of a millimetre towards it.
+        step_m: length of a step towards it; the result is off by one at most.
     """
-    step = FACING_M * torch.nn.functional.normalize(eye, dim=-1)[:, None]
+    step = step_m * torch.nn.functional.normalize(eye, dim=-1)[:, None]
     now = sdf.distance(points.to(sdf.bounds)).to(points)
     gone, open_yet = torch.zeros_like(now), torch.ones_like(now, dtype=torch.bool)
-    for turn in range(1, steps + 1):
+    for turn in range(1, FACING + 1):
         ahead = sdf.distance((points + turn * step).to(sdf.bounds)).to(points)
         open_yet = open_yet & (ahead < now)
-        now, gone = torch.where(open_yet, ahead, now), torch.where(open_yet, turn * FACING_M, gone)
+        now, gone = torch.where(open_yet, ahead, now), torch.where(open_yet, turn * step_m, gone)
     return now - gone
 
 
@@ -121,7 +123,7 @@ def replay_plain(
             if own.eye_m is not None and bool((shown := history.kind[some] == Kind.SEEN).any()):
                 eye = pose.new_tensor(own.eye_m) - pose.new_tensor((0.0, 0.0, model.resting_m))
                 local = model.local(taken, torch.cat((there[shown], eye[None])))
-                distance[:, shown] = facing_distance(model.sdf, local[:, :-1], local[:, -1], facing_steps(own))
+                distance[:, shown] = facing_distance(model.sdf, local[:, :-1], local[:, -1], facing_step_m(own))
             if errors is not None:
                 distance = distance + errors.worn_m[:, None]
             each = log_likelihood_of(distance, history.kind[some], own) * history.weight[some]

@@ -8,7 +8,7 @@ import torch
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Kind, Segment
-from rumi.belief.trajectory_likelihood import FACING, FACING_M, facing_distance, facing_steps
+from rumi.belief.trajectory_likelihood import FACING, FACING_M, facing_distance, facing_step_m
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
@@ -108,7 +108,7 @@ def test_noise_draws_no_thin_wall_to_the_camera(cup):
 def test_noise_wider_than_a_wall_draws_none_either(cup):
     """With noise of 4.5 mm the look-out for the front reaches two deviations; at 5 mm it would be off by some."""
     own = replace(KNOWS, seen_sd_m=0.0045)
-    assert facing_steps(own) == 9 and facing_steps(KNOWS) == FACING
+    assert facing_step_m(own) == pytest.approx(0.0018) and facing_step_m(KNOWS) == FACING_M
     history = seen(front(2000, 0.0045))
     shifts = torch.linspace(-0.008, 0.008, 33, **DOUBLE)
     start = torch.zeros(33, 3, **DOUBLE)
