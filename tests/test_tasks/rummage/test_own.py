@@ -64,9 +64,9 @@ def test_in_the_plane_trajectories_may_begin_from_a_prior(model):
 
 
 def test_trajectories_are_surer_of_the_mugs_that_they_are_fitted_to(model):
-    fitted = rumi.rummager(mug_model(0.004), lattice()).filter.own
-    assert fitted == rumi.preset("default").filter.trajectories
-    assert rumi.rummager(model, lattice()).filter.own == fitted.for_others() != fitted
+    fitted, plain = rumi.rummager(mug_model(0.004), lattice()).filter.own, rumi.preset("default").filter.trajectories
+    assert fitted == plain.for_mugs()
+    assert rumi.rummager(model, lattice()).filter.own == plain.for_others() != fitted
 
 
 def test_a_camera_that_looks_again_lets_pushes_go_otherwise_than_foreseen():
