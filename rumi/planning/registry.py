@@ -6,6 +6,7 @@ from typing import Protocol, runtime_checkable
 from torch import Tensor
 
 from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
+from rumi.planning.next_touch import NextTouchPolicy
 from rumi.planning.policy import Policy
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
 from rumi.planning.slide import SlidePolicy, SlideSettings
@@ -32,6 +33,11 @@ class PolicySettings(Protocol):
         ...
 
 
+def _chosen(own: RummagingSettings, reach: Tensor) -> Policy:
+    """RUMI's policy, or the choice of the next touch in its place."""
+    return NextTouchPolicy(own.touches) if own.next_touch else RummagingPolicy(reach, own)
+
+
 MakePolicy = Callable[[PolicySettings, Tensor], Policy]
 """Makes a policy from settings and the reachability r(x) of every workspace point, (V,) in [0, 1] (RUMI, Eq 30)."""
 
@@ -39,7 +45,7 @@ POLICIES: Table[MakePolicy] = Table("method", "rumi.policies")
 """All policies by the name of their method."""
 
 
-POLICIES.add("rumi", lambda own, reach: RummagingPolicy(reach, own.planner))
+POLICIES.add("rumi", lambda own, reach: _chosen(own.planner, reach))
 POLICIES.add("info-only", lambda own, reach: info_only(own.planner))
 POLICIES.add("reach-only", lambda own, reach: reach_only(reach, own.planner))
 POLICIES.add("slide", lambda own, reach: SlidePolicy(own.slide))

@@ -8,6 +8,7 @@ from rumi.dynamics.base import PushDefaults
 from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.registry import PUSH_MODELS, PushSettings
 from rumi.fields.information import InformationSettings
+from rumi.planning.next_touch import NextTouchSettings
 from sdf.bounds import Count, NotNegative, Share, ShareAbove0
 
 
@@ -23,6 +24,9 @@ class RummagingSettings(PushSettings):
     The defaults do not depend on the unit of the information; `paper()` has the paper's.
 
     Attributes:
+        next_touch: choose the next touch by the belief's first contacts (`NextTouchPolicy`) in the place of all that
+            follows. None for where actions in space are guarded.
+        touches: of that choice.
         information: the field that is to be gathered.
         mppi: the planner; its iterations are `warmup_iterations` for the first plan.
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
@@ -48,6 +52,8 @@ class RummagingSettings(PushSettings):
             others keep their coarse cost, which is too high to weigh. 1 rolls out all in full, and nothing before.
     """
 
+    next_touch: bool | None = None
+    touches: NextTouchSettings = field(default_factory=NextTouchSettings)
     information: InformationSettings = field(default_factory=InformationSettings)
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: NotNegative = 1.0

@@ -93,6 +93,7 @@ def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     return replace(
         planner,
         information=information,
+        next_touch=planner.next_touch is not False,
         push=replace(planner.push, guarded=True),
         push_scale=_PUSH_SCALE if planner.push_scale is None else planner.push_scale,
         sensed_here=planner.sensed_here is not False,

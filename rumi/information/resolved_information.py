@@ -1,0 +1,54 @@
+"""Information that an outcome gives about a pose at a resolution: what is finer than that counts for nothing."""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from sdf import se3
+from sdf.symmetry import Symmetries
+
+
+def pose_kernel(
+    world_T_object: Float[Tensor, "N 4 4"], symmetries: Symmetries, *, position_m: float, rotation_rad: float
+) -> Float[Tensor, "N N"]:
+    """Gaussian kernel of each pair of poses, modulo the object's symmetries; 1 for the same pose.
+
+    Args:
+        world_T_object: poses.
+        symmetries: of the object.
+        position_m: deviation of the position.
+        rotation_rad: of the angle between rotations.
+    """
+    count = len(world_T_object)
+    first, second = torch.triu_indices(count, count, 1, device=world_T_object.device)
+    one, other = world_T_object[first], world_T_object[second]
+    metres, radians = se3.distance(one, symmetries.nearest(other, one))
+    alike = torch.exp(-0.5 * ((metres / position_m).square() + (radians / rotation_rad).square()))
+    kernel = torch.eye(count).to(alike)
+    kernel[first, second] = alike
+    kernel[second, first] = alike
+    return kernel
+
+
+def outcome_information(
+    kernel: Float[Tensor, "N N"], log_weights: Float[Tensor, "N"], outcomes: Int[Tensor, "K N"]
+) -> Float[Tensor, "K"]:
+    """Mutual information of pose and outcome (K,), nats, at the kernel's resolution: by kernel density estimates.
+
+    The entropy of a weighted set is taken for -sum_i w_i log sum_j w_j k_ij, before, and among those poses that lead to
+    the same outcome after. A kernel of ones where poses are alike and of zeros else gives the plain mutual information
+    of which kind of pose it is.
+
+    Args:
+        kernel: of each pair of poses, 1 for the same (`pose_kernel`).
+        log_weights: of the poses, normalised or not.
+        outcomes: number of the outcome that each pose leads to surely, of K actions.
+    """
+    weights = log_weights.to(kernel).softmax(-1)
+    same = (outcomes[:, :, None] == outcomes[:, None, :]).to(kernel)
+    shared = same @ weights
+    held = (same * (kernel * weights)).sum(-1)
+    tiny = torch.finfo(kernel.dtype).tiny
+    before = (kernel @ weights).clamp_min(tiny).log()
+    after = held.clamp_min(tiny).log() - shared.clamp_min(tiny).log()
+    return ((after - before) @ weights).clamp_min(0.0)

@@ -1,0 +1,165 @@
+"""Next-touch selection: the way whose first contact tells most about the pose, for each action that it takes.
+
+A guarded action ends where the tool touches. Where that is on a way, and with what part of the tool, is all that the
+way tells, and each particle of the belief says it for itself: no field has to be added up, in which points that tell
+the same count again.
+"""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rumi import seeding
+from rumi.belief.particles import subsample
+from rumi.clock import Now, Stopwatch
+from rumi.information.resolved_information import outcome_information, pose_kernel
+from rumi.planning.first_contact import FirstContacts, TouchingSurface, first_contacts
+from rumi.planning.policy import Plan, PlanRequest
+from rumi.planning.touch_candidates import CandidateSettings, candidate_touches
+from rumi.robot.gripper import gripper_of
+from rumi.robot.tool import Tool
+from sdf.bounds import Checked, Count, NotNegative, Positive
+
+_PARTS = 20  # of an action, after each of which its contacts are looked up
+_PAD_SPACING_M, _PALM_SPACING_M, _PATCH_M = 0.010, 0.020, 0.015  # between points of the tool; sides of the pads' parts
+_NOTHING, _NOW = -1, -2  # outcomes: no touch, and one that there is already
+_BATCH = 16  # ways that are looked at between two looks at the clock, where time is short
+
+
+@dataclass(frozen=True)
+class NextTouchSettings(Checked):
+    """Settings of next-touch selection.
+
+    Attributes:
+        candidates: the ways it chooses among.
+        particles: that stand for the belief.
+        position_m, rotation_rad: deviations of the kernel, by which finer knowledge of the pose is worth nothing.
+        felt_m: way of the tool in which two contacts are the same.
+        overhead: actions that a touch is taken to cost beside those on its way.
+        touch_nats: what a touch costs in certainty, since it pushes.
+        palm: share of its information that a way loses for each share of the belief that its palm, which feels nothing,
+            meets first.
+    """
+
+    candidates: CandidateSettings = field(default_factory=CandidateSettings)
+    particles: Count = 200
+    position_m: Positive = 0.006
+    rotation_rad: Positive = 0.12
+    felt_m: Positive = 0.008
+    overhead: NotNegative = 2.0
+    touch_nats: NotNegative = 0.1
+    palm: NotNegative = 1.5
+
+
+class NextTouchPolicy:
+    """Chooses the next touch of a gripper that moves in space. A `Policy`; holds settings and the tool's surface only.
+
+    Of candidate ways, and what is left of the last plan, it follows the one with the greatest information about the
+    pose, less what a touch costs, for each action that the way takes. An action later it chooses anew.
+
+    Args:
+        settings: of the candidates and of what they are worth.
+        now: the clock that budgets are held against.
+    """
+
+    def __init__(self, settings: NextTouchSettings | None = None, *, now: Now = time.perf_counter) -> None:
+        self.settings, self.now = settings or NextTouchSettings(), now
+        self._surfaces: dict[int, tuple[Tool, TouchingSurface]] = {}
+
+    @torch.no_grad()
+    def act(self, request: PlanRequest) -> Plan:
+        """Choose a way; see `rumi.planning.policy.Policy`.
+
+        Raises:
+            ValueError: the tool moves in the plane.
+            UsageError: it is no gripper of a palm and two pads.
+        """
+        own, scene, begun = self.settings, request.scene, self.now()
+        tool, model, like = scene.tool, scene.model, scene.workspace.points
+        if not tool.spatial:
+            raise ValueError("Expected a tool that moves in space, got one that keeps to a plane")
+        watch, here = Stopwatch(self.now), scene.configuration.to(like)
+        generator = seeding.on_device(request.generator, like.device)
+        few = subsample(request.belief, own.particles)
+        poses = few.world_T_object.to(like)
+        surface = self._surface(tool, like.device)
+        controls, lengths = candidate_touches(
+            poses, model, tool, surface, here, own.candidates, generator=generator
+        )
+        controls, lengths = _with_previous(request, controls, lengths)
+        ways = tool.free_path(here, controls, _PARTS)
+        watch.lap("planner")
+        kernel = pose_kernel(poses, model.symmetries, position_m=own.position_m, rotation_rad=own.rotation_rad)
+        watch.lap("fields")
+        contacts, looked = list[FirstContacts](), 0
+        size = len(controls) if request.budget_s is None else _BATCH
+        for part, some in zip(ways.split(size), (_PARTS * lengths).split(size), strict=True):
+            contacts.append(first_contacts(model.sdf, poses, part, some, surface))
+            looked += len(part)
+            if request.budget_s is not None and self.now() - begun > request.budget_s:
+                break
+        step, point = (torch.cat([getattr(found, name) for found in contacts]) for name in ("step", "point"))
+        watch.lap("dynamics")
+        steps = _PARTS * lengths[:looked]
+        phase = seeding.uniform((1,), generator=generator, dtype=like.dtype, device=like.device)
+        outcomes = self._outcomes(step, surface.patch[point], steps, ways[:looked], here, phase)
+        gained = outcome_information(kernel, few.log_weights, outcomes)
+        weights = few.log_weights.to(like).softmax(-1)
+        palm = ((surface.patch[point] < 0) & (step < steps[:, None])).to(like) @ weights
+        actions = (torch.minimum(step, steps[:, None] - 1) // _PARTS + 1).to(like) @ weights
+        worth = (gained * (1.0 - own.palm * palm) - own.touch_nats) / (actions + own.overhead)
+        best = int(worth.argmax())
+        watch.lap("costs")
+        count = int(lengths[best])
+        ends = ways[best, _PARTS - 1 :: _PARTS][:count]
+        info: dict[str, Any] = {"gain": float(gained[best]), "actions": float(actions[best]), "samples": looked}
+        skipped = {"contact_checks": 1.0 - sum(found.checked * len(found.step) for found in contacts) / looked}
+        return Plan(
+            controls[best, :count],
+            torch.cat((here[None], ends)),
+            skipped=skipped,
+            timings_s=watch.laps,
+            info=info,
+        )
+
+    def _surface(self, tool: Tool, device: torch.device) -> TouchingSurface:
+        """The tool's surface; made once."""
+        if id(tool) not in self._surfaces:
+            made = TouchingSurface.of(
+                gripper_of(tool.shape), pad_spacing_m=_PAD_SPACING_M, palm_spacing_m=_PALM_SPACING_M, patch_m=_PATCH_M
+            )
+            self._surfaces[id(tool)] = tool, made.to(device)
+        return self._surfaces[id(tool)][1]
+
+    def _outcomes(
+        self,
+        step: Int[Tensor, "K N"],
+        patch: Int[Tensor, "K N"],
+        steps: Int[Tensor, "K"],
+        ways: Float[Tensor, "K S 4"],
+        here: Float[Tensor, "4"],
+        phase: Float[Tensor, "1"],
+    ) -> Int[Tensor, "K N"]:
+        """Number of what the tool would feel: how far on its way, and with what of it."""
+        went = torch.diff(ways, dim=1, prepend=here.expand(len(ways), 1, 4))[..., :3].norm(dim=-1).cumsum(-1)
+        far = went.gather(1, step.clamp_max(ways.shape[1] - 1))
+        outcome = (far / self.settings.felt_m + phase).long() * (int(patch.max()) + 2) + patch + 1
+        outcome = torch.where(step == 0, torch.full_like(outcome, _NOW), outcome)
+        return torch.where(step < steps[:, None], outcome, torch.full_like(outcome, _NOTHING))
+
+
+def _with_previous(
+    request: PlanRequest, controls: Float[Tensor, "K H 4"], lengths: Int[Tensor, "K"]
+) -> tuple[Float[Tensor, "K1 H1 4"], Int[Tensor, "K1"]]:
+    """Candidates, and what is left of the last plan as the first of them."""
+    rest = None if request.previous is None else request.previous.controls[request.executed :].to(controls)
+    if rest is None or not len(rest) or rest.shape[-1] != controls.shape[-1]:
+        return controls, lengths
+    most = max(len(rest), controls.shape[1])
+    padded = controls.new_zeros(len(controls) + 1, most, controls.shape[-1])
+    padded[0, : len(rest)], padded[1:, : controls.shape[1]] = rest, controls
+    return padded, torch.cat((lengths.new_tensor([len(rest)]), lengths))
