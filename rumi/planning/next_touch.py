@@ -41,8 +41,8 @@ class NextTouchSettings(Checked):
         felt_m: way of the tool in which two contacts are the same.
         overhead: actions that a touch is taken to cost beside those on its way.
         touch_nats: what a touch costs in certainty, since it pushes.
-        palm: share of its information that a way loses for each share of the belief that its palm, which feels nothing,
-            meets first.
+        unfelt: share of its information that a way loses for each share of the belief that it pushes on without news:
+            met first by the palm, which feels nothing, or in touch from the start and not let go of.
     """
 
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
@@ -52,7 +52,7 @@ class NextTouchSettings(Checked):
     felt_m: Positive = 0.008
     overhead: NotNegative = 2.0
     touch_nats: NotNegative = 0.1
-    palm: NotNegative = 1.5
+    unfelt: NotNegative = 1.5
 
 
 class NextTouchPolicy:
@@ -109,14 +109,15 @@ class NextTouchPolicy:
         outcomes = self._outcomes(step, surface.patch[point], steps, ways[:looked], here, phase)
         gained = outcome_information(kernel, few.log_weights, outcomes)
         weights = few.log_weights.to(like).softmax(-1)
-        palm = ((surface.patch[point] < 0) & (step < steps[:, None])).to(like) @ weights
+        met = step < steps[:, None]
+        unfelt = (met & ((surface.patch[point] < 0) | (step == 0))).to(like) @ weights
         actions = (torch.minimum(step, steps[:, None] - 1) // _PARTS + 1).to(like) @ weights
-        worth = (gained * (1.0 - own.palm * palm) - own.touch_nats) / (actions + own.overhead)
+        worth = (gained * (1.0 - own.unfelt * unfelt) - own.touch_nats) / (actions + own.overhead)
         best = int(worth.argmax())
         watch.lap("costs")
         count = int(lengths[best])
         ends = ways[best, _PARTS - 1 :: _PARTS][:count]
-        info: dict[str, Any] = {"gain": float(gained[best]), "actions": float(actions[best]), "samples": looked}
+        info: dict[str, Any] = {"gain": float(gained[best]), "actions": float(actions[best]), "unfelt": float(unfelt[best]), "samples": looked}
         skipped = {"contact_checks": 1.0 - sum(found.checked * len(found.step) for found in contacts) / looked}
         return Plan(
             controls[best, :count],
