@@ -30,14 +30,25 @@ def pose_kernel(
     return kernel
 
 
+def resolved_entropy(kernel: Float[Tensor, "N N"], log_weights: Float[Tensor, "N"]) -> Float[Tensor, ""]:
+    """Entropy of a weighted set of poses at the kernel's resolution, nats: -sum_i w_i log sum_j w_j k_ij.
+
+    Args:
+        kernel: of each pair of poses, 1 for the same (`pose_kernel`).
+        log_weights: of the poses, normalised or not.
+    """
+    weights = log_weights.to(kernel).softmax(-1)
+    return -(weights @ (kernel @ weights).clamp_min(torch.finfo(kernel.dtype).tiny).log())
+
+
 def outcome_information(
     kernel: Float[Tensor, "N N"], log_weights: Float[Tensor, "N"], outcomes: Int[Tensor, "K N"]
 ) -> Float[Tensor, "K"]:
-    """Mutual information of pose and outcome (K,), nats, at the kernel's resolution: by kernel density estimates.
+    """Mutual information of pose and outcome (K,), nats, at the kernel's resolution.
 
-    The entropy of a weighted set is taken for -sum_i w_i log sum_j w_j k_ij, before, and among those poses that lead to
-    the same outcome after. A kernel of ones where poses are alike and of zeros else gives the plain mutual information
-    of which kind of pose it is.
+    The `resolved_entropy` of the poses less that of those which lead to the same outcome, in the mean over outcomes. A
+    kernel of ones where poses are alike and of zeros else gives the plain mutual information of which kind of pose it
+    is.
 
     Args:
         kernel: of each pair of poses, 1 for the same (`pose_kernel`).
@@ -49,6 +60,5 @@ def outcome_information(
     shared = same @ weights
     held = (same * (kernel * weights)).sum(-1)
     tiny = torch.finfo(kernel.dtype).tiny
-    before = (kernel @ weights).clamp_min(tiny).log()
-    after = held.clamp_min(tiny).log() - shared.clamp_min(tiny).log()
-    return ((after - before) @ weights).clamp_min(0.0)
+    after = (shared.clamp_min(tiny).log() - held.clamp_min(tiny).log()) @ weights
+    return (resolved_entropy(kernel, log_weights) - after).clamp_min(0.0)

@@ -16,7 +16,7 @@ from torch import Tensor
 from rumi import seeding
 from rumi.belief.particles import subsample
 from rumi.clock import Now, Stopwatch
-from rumi.information.resolved_information import outcome_information, pose_kernel
+from rumi.information.resolved_information import outcome_information, pose_kernel, resolved_entropy
 from rumi.planning.first_contact import FirstContacts, TouchingSurface, first_contacts
 from rumi.planning.policy import Plan, PlanRequest
 from rumi.planning.touch_candidates import CandidateSettings, candidate_touches
@@ -87,9 +87,7 @@ class NextTouchPolicy:
         few = subsample(request.belief, own.particles)
         poses = few.world_T_object.to(like)
         surface = self._surface(tool, like.device)
-        controls, lengths = candidate_touches(
-            poses, model, tool, surface, here, own.candidates, generator=generator
-        )
+        controls, lengths = candidate_touches(poses, model, tool, surface, here, own.candidates, generator=generator)
         controls, lengths = _with_previous(request, controls, lengths)
         ways = tool.free_path(here, controls, _PARTS)
         watch.lap("planner")
@@ -117,7 +115,16 @@ class NextTouchPolicy:
         watch.lap("costs")
         count = int(lengths[best])
         ends = ways[best, _PARTS - 1 :: _PARTS][:count]
-        info: dict[str, Any] = {"gain": float(gained[best]), "actions": float(actions[best]), "unfelt": float(unfelt[best]), "samples": looked}
+        gain, expected = float(gained[best]), float(actions[best])
+        by_action = [0.0] * count
+        by_action[min(round(expected), count) - 1] = gain
+        info: dict[str, Any] = {
+            "predicted_information": by_action,
+            "information_total": float(resolved_entropy(kernel, few.log_weights)),
+            "actions": expected,
+            "unfelt": float(unfelt[best]),
+            "samples": looked,
+        }
         skipped = {"contact_checks": 1.0 - sum(found.checked * len(found.step) for found in contacts) / looked}
         return Plan(
             controls[best, :count],

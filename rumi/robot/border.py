@@ -38,7 +38,7 @@ class Border(NamedTuple):
         return cls(points, groups, sets, centres, radii, float(points.norm(dim=-1).max()))
 
 
-def near_groups(points: Float[Tensor, "n 2"], size: int) -> Int[Tensor, "G size"]:
+def near_groups(points: Float[Tensor, "n D"], size: int) -> Int[Tensor, "G size"]:
     """Halved along its longer side until a group has no more than `size` points."""
     parts = [torch.arange(len(points), device=points.device)]
     while len(parts[0]) > size:

@@ -42,13 +42,13 @@ PLANNER = RummagingSettings(
 
 pytestmark = pytest.mark.outcome
 GPVR = GPVRSettings(refit_steps=5, max_points=40)
-OUTSIDE = "wandering"
+OUTSIDE, NEXT_TOUCH = "wandering", "next-touch"
 SAMPLING = ("rumi", "info-only", "reach-only", "gpvr", "gpvr-greedy")  # these roll samples of their plans out
 NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
 CENTRE = torch.tensor([0.4, 0.0, 0.3])
 
 
-@pytest.fixture(params=[*POLICIES, OUTSIDE])
+@pytest.fixture(params=[*POLICIES, OUTSIDE, NEXT_TOUCH])
 def method(request: pytest.FixtureRequest, outside: None) -> str:
     library = NEEDS.get(request.param)
     if library and importlib.util.find_spec(library) is None:
@@ -59,6 +59,10 @@ def method(request: pytest.FixtureRequest, outside: None) -> str:
 @pytest.fixture
 def policy(method: str, scene: Scene) -> Policy:
     reach = (1.0 - scene.workspace.points[:, 0]).clamp(0, 1)
+    if method == NEXT_TOUCH:
+        if not scene.tool.spatial:
+            pytest.skip("it chooses ways in space")
+        return make_policy(Settings(method="rumi", planner=replace(PLANNER, next_touch=True)), reach)
     return make_policy(Settings(method=method, planner=PLANNER, gpvr=GPVR), reach)
 
 
@@ -317,6 +321,10 @@ def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> Non
 def test_says_what_it_predicts(method: str, policy: Policy, scene: Scene) -> None:
     """One number and one displacement an action, from every policy that rolls its plans out."""
     plan = act(policy, scene, believed())
+    if method == NEXT_TOUCH:  # what a touch tells, and not where it takes the object
+        assert len(plan.info["predicted_information"]) == len(plan.controls)
+        assert "predicted_displacement" not in plan.info
+        return
     if method not in SAMPLING:
         assert "predicted_information" not in plan.info
         return

@@ -9,12 +9,14 @@ import torch
 
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.errors import UsageError
+from rumi.planning.next_touch import NextTouchPolicy
+from rumi.planning.rummaging import RummagingPolicy
 from rumi.runs.json_settings import changed
 from rumi.sim.error_settings import PadErrors
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.entry import ENTRIES
-from rumi.tasks.rummage.motions import as_accurate, as_inexact, with_eye
+from rumi.tasks.rummage.motions import as_accurate, as_inexact, planned, with_eye
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import from_dict, preset, to_dict
 
@@ -113,7 +115,8 @@ def test_actions_are_guarded_where_nothing_measures_how_the_object_is_pushed(all
             assert world.settings.guarded == guards[conditions]
             # plans know of it in space
             known = task == "box" and conditions == "lab"
-            planner = agent.policy.settings
+            planner = planned(find_task(task), settings)
+            assert isinstance(agent.policy, NextTouchPolicy if known else RummagingPolicy)
             assert planner.push.guarded == known and bool(planner.sensed_here) == known
             assert (planner.push_scale, planner.reachability_scale) == ((1.0, 0.5) if known else (None, None))
             assert planner.information.sharpness == (300.0 if known else None)
@@ -127,6 +130,7 @@ def test_actions_are_guarded_where_nothing_measures_how_the_object_is_pushed(all
 @pytest.mark.usefixtures("at_home")
 def test_what_is_asked_of_plans_is_kept_where_actions_are_guarded(all_in_reach):
     settings = preset(task="drill", **{"planner.push_scale": 0.0, "planner.reachability_scale": 2.0})
+    settings = changed(settings, {"planner.next_touch": False})
     settings = changed(settings, {"planner.sensed_here": False, "filter.trajectories.fresh_m": 0.0})
     settings = from_dict(to_dict(changed(settings, {"planner.information.sharpness": 100.0})) | {"made_with": {}})
     with build(settings, cache_dir=all_in_reach) as (_, agent):
