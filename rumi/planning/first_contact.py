@@ -109,7 +109,7 @@ def first_contacts(
 def _first_contacts(
     sdf: SDF, world_T_object: Tensor, ways: Tensor, steps: Tensor, tool: TouchingSurface, near_m: float
 ) -> FirstContacts:
-    poses, size = len(world_T_object), len(tool.points)
+    poses = len(world_T_object)
     step = steps[:, None].repeat(1, poses)
     point = torch.zeros_like(step)
     for row, way in enumerate(ways):

@@ -1,6 +1,5 @@
 """Candidate touches: ways of a tool in space to a point of the object's side, as a pose of the belief has it."""
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -11,7 +10,7 @@ from rumi import seeding
 from rumi.planning.first_contact import TouchingSurface
 from rumi.robot.tool import Tool
 from sdf import se3
-from sdf.bounds import Checked, Count, NotNegative, Positive
+from sdf.bounds import Checked, Count, NotNegative
 from sdf.object_model import ObjectModel
 from sdf.so3 import wrap
 

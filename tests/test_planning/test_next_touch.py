@@ -46,7 +46,7 @@ def at(*places: tuple[float, float, float]) -> Tensor:
 
 def act(scene: Scene, belief: PoseBelief, previous: Plan | None = None, seed: int = 0, **more: float) -> Plan:
     generator = torch.Generator().manual_seed(seed)
-    request = PlanRequest(belief, scene, previous, executed=1, generator=generator, **more)  # type: ignore[arg-type]
+    request = PlanRequest(belief, scene, previous, executed=1, generator=generator, **more)
     return NextTouchPolicy(FEW).act(request)
 
 
