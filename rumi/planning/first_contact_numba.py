@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 
-from rumi.planning.first_contact import GROUP
 from sdf.compiled import Kernel
 from sdf.grid_numba import fast, lattice_of, value
 from sdf.intrinsics_numba import at, put
@@ -59,7 +58,8 @@ def _apart(tool, points, first, count, size, flat, lattice, found):
 def _first_contacts(ways, steps, rows, points, spheres, numbers, grid, step, point, looked, part):
     lattice, flat = lattice_of(grid[1], grid[2]), grid[0]
     near, radius, let_go, groups, poses = numbers[0], numbers[1], numbers[2], len(spheres) // 4, len(rows)
-    bounds, distances = np.empty(groups, np.float32), np.empty(GROUP, np.float32)
+    size = len(points) // (3 * groups)
+    bounds, distances = np.empty(groups, np.float32), np.empty(size, np.float32)
     for pair in indices(part, len(steps) * poses):
         k, n = pair // poses, pair % poses
         last, now, asked, found = steps[k], np.int64(0), 0, np.int64(0)
@@ -75,11 +75,11 @@ def _first_contacts(ways, steps, rows, points, spheres, numbers, grid, step, poi
                 if apart >= near or apart >= deepest:
                     clear = min(clear, apart)
                     continue
-                _apart(tool, points, GROUP * group, GROUP, GROUP * groups, flat, lattice, distances)
-                for index in range(GROUP):
+                _apart(tool, points, size * group, size, size * groups, flat, lattice, distances)
+                for index in range(size):
                     clear = min(clear, distances[index])
                     if distances[index] < deepest:
-                        deepest, met = distances[index], np.int64(GROUP * group + index)
+                        deepest, met = distances[index], np.int64(size * group + index)
             if now == 0:
                 floor = deepest
             if met >= 0 and deepest < (floor if floor == near else floor - let_go):

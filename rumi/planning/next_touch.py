@@ -20,11 +20,12 @@ from rumi.information.resolved_information import outcome_information, pose_kern
 from rumi.planning.first_contact import FirstContacts, TouchingSurface, first_contacts
 from rumi.planning.policy import Plan, PlanRequest
 from rumi.planning.touch_candidates import CandidateSettings, candidate_touches
+from rumi.resampling import systematic
 from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from sdf.bounds import Checked, Count, NotNegative, Positive
 
-_PARTS = 20  # of an action, after each of which its contacts are looked up
+_PARTS = 10  # of an action, after each of which its contacts are looked up
 _PAD_SPACING_M, _PALM_SPACING_M, _PATCH_M = 0.010, 0.020, 0.015  # between points of the tool; sides of the pads' parts
 _NOTHING, _NOW = -1, -2  # outcomes: no touch, and one that there is already
 _BATCH = 16  # ways that are looked at between two looks at the clock, where time is short
@@ -87,7 +88,8 @@ class NextTouchPolicy:
         few = subsample(request.belief, own.particles)
         poses = few.world_T_object.to(like)
         surface = self._surface(tool, like.device)
-        controls, lengths = candidate_touches(poses, model, tool, surface, here, own.candidates, generator=generator)
+        drawn = poses[systematic(few.log_weights, 0.5)]
+        controls, lengths = candidate_touches(drawn, model, tool, surface, here, own.candidates, generator=generator)
         controls, lengths = _with_previous(request, controls, lengths)
         ways = tool.free_path(here, controls, _PARTS)
         watch.lap("planner")

@@ -15,7 +15,7 @@ from sdf.object_model import ObjectModel
 from sdf.so3 import wrap
 
 _LEVEL = 0.5  # sine of a normal's elevation, below which a point is on a side
-_TRIES = 4  # points that are drawn for each candidate, of which those on a side are taken
+_DRAWN, _TRIES = 4, 3  # ways that are drawn for each candidate, and points for each of them, of which one is on a side
 _FRONT_M = 0.012  # behind the foremost point of the pads, along the way, from which on one may be what touches
 _MOST_TURN_RAD = 1.5  # that a tool turns to face what it touches
 _KINDS = 5  # ways to a touch
@@ -26,7 +26,7 @@ class CandidateSettings(Checked):
     """Settings of candidate touches.
 
     Attributes:
-        count: of candidates.
+        count: of candidates, at most.
         clear_m: how far in front of a touch the last straight part of a way begins.
         press_m: how far beyond a touch it ends: where the object is believed to be nearer it ends sooner.
         facing_rad: deviation of the tool's yaw from facing the surface.
@@ -35,7 +35,7 @@ class CandidateSettings(Checked):
         actions: that a way may take, at most.
     """
 
-    count: Count = 96
+    count: Count = 64
     clear_m: NotNegative = 0.045
     press_m: NotNegative = 0.006
     facing_rad: NotNegative = 0.3
@@ -56,6 +56,8 @@ def candidate_touches(
 ) -> tuple[Float[Tensor, "K H 4"], Int[Tensor, "K"]]:
     """Controls of each candidate, followed by zeros, and how many controls each has; at least one candidate.
 
+    Those within the limits of tool and arm alone, where there are any: what goes along a limit leads elsewhere.
+
     A touch is a point of the surface at a pose, both drawn evenly, that faces sideways, met along its normal by one
     of the pads' foremost points. The tool turns to face it, or not; it goes there straight, or by a place in front of
     it, having gone back before or not, or over the object.
@@ -69,7 +71,7 @@ def candidate_touches(
         settings: of the candidates.
         generator: of the draws.
     """
-    like, count = configuration, settings.count
+    like, count = configuration, _DRAWN * settings.count
 
     def uniform(*shape: int) -> Tensor:
         return seeding.uniform(shape, generator=generator, dtype=like.dtype, device=like.device)
@@ -120,7 +122,11 @@ def candidate_touches(
     first = torch.where(kind == 2, back, first)
     second = torch.where(kind >= 3, lifted(before), first)
     third = torch.where(kind == 1, second, before)
-    return _controls(torch.stack((first, second, third, end), 1), tool, configuration, settings.actions)
+    controls, lengths = _controls(torch.stack((first, second, third, end), 1), tool, configuration, settings.actions)
+    ends = here[:, None] + (controls * tool.scale.to(like)).cumsum(1)
+    free = tool.within_limits(ends).all(-1)
+    kept = (free | ~free.any()).nonzero()[: settings.count, 0]
+    return controls[kept], lengths[kept]
 
 
 def _controls(

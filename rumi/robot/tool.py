@@ -139,6 +139,11 @@ class Tool(nn.Module):
             self._covers[key] = Cover.of(points, discs)
         return self._covers[key]
 
+    def within_limits(self, q: Float[Tensor, "*b Q"]) -> Bool[Tensor, "*b"]:
+        """Whether configurations are within the bounds and the arm's reach."""
+        boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)
+        return boxed if self.reach is None else boxed & self.reach.reachable(q)
+
     def free_step(
         self, q: Float[Tensor, "*#b Q"], control: Float[Tensor, "*#b Q"], fraction: float = 1.0
     ) -> tuple[Float[Tensor, "*#b Q"], Float[Tensor, "*#b"]]:
@@ -223,7 +228,7 @@ class Tool(nn.Module):
         path = q[..., None, :] + steps.cumsum(-2)
         flat, steps = path.reshape(-1, *path.shape[-2:]), steps.reshape(-1, *steps.shape[-2:])
         # most paths meet no limit: those are done; the rest go step by step from where the first one meets it
-        allowed = self._inside(flat)
+        allowed = self.within_limits(flat)
         rows = (~allowed.all(-1)).nonzero()[:, 0]
         if len(rows) == 0:
             return path
@@ -283,10 +288,6 @@ class Tool(nn.Module):
         if key not in self._tables or self._tables[key][0] is not source:
             self._tables[key] = source, self.reach.left.to(like)
         return self._tables[key][1]
-
-    def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
-        boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)
-        return boxed if self.reach is None else boxed & self.reach.reachable(q)
 
     def _place(self, points: Tensor, q: Tensor) -> Tensor:
         cosine, sine = q[..., -1].cos()[..., None], q[..., -1].sin()[..., None]

@@ -94,7 +94,7 @@ def test_path_is_repeated_steps(tool, seed):
         now, _ = tool.free_step(now, u[:, index])
         torch.testing.assert_close(path[:, index], now, atol=1e-9, rtol=0)
     moved_freely = q[:, None] + (u * tool.scale).cumsum(1)
-    blocked = ~tool._inside(moved_freely).all(-1)
+    blocked = ~tool.within_limits(moved_freely).all(-1)
     assert 5 < int(blocked.sum()) < 40  # the case is worth its name: some paths meet a limit, some do not
 
 
@@ -104,7 +104,7 @@ def test_rows_of_a_batch_equal_single_paths(tool, dtype):
     tool = copy.deepcopy(tool).to(dtype)
     q, u = reachable_starts(tool, 40).to(dtype), controls(40, 5, seed=3).to(dtype)
     batch = tool.free_path(q, u, 2)
-    held = ~tool._inside(q[:, None] + (u * tool.scale).cumsum(1)).all(-1)
+    held = ~tool.within_limits(q[:, None] + (u * tool.scale).cumsum(1)).all(-1)
     assert 10 < int(held.sum()) < 40
     for row in range(0, 40, 3):
         assert torch.equal(tool.free_path(q[row], u[row], 2), batch[row])
@@ -119,7 +119,7 @@ def test_rows_of_a_batch_equal_single_steps_at_the_limit(tool, dtype):
     tool = copy.deepcopy(tool).to(dtype)
     q = reachable_starts(tool, 2000).to(dtype)
     u = (q * torch.tensor([2.0, 2.0, 0.0], dtype=dtype) + 0.3 * controls(2000, seed=4).to(dtype)).clamp(-1, 1)
-    held = ~tool._inside(q + u * tool.scale)
+    held = ~tool.within_limits(q + u * tool.scale)
     q, u = q[held][:120], u[held][:120]
     batch, _ = tool.free_step(q, u)
     turned = ((batch[:, 2] - q[:, 2] - u[:, 2] * tool.scale[2]).abs() > 1e-3).sum()
@@ -282,7 +282,7 @@ def test_in_space_it_never_leaves_reach_or_bounds_and_is_repeated_steps(flying, 
         now, _ = flying.free_step(now, controls[:, index])
         torch.testing.assert_close(ends[:, index], now, atol=1e-9, rtol=0)
     free = start + (controls * flying.scale).cumsum(1)
-    assert int((~flying._inside(free).all(-1)).sum()) > 5
+    assert int((~flying.within_limits(free).all(-1)).sum()) > 5
 
 
 def test_in_space_it_slides_along_the_limit_and_rises_no_farther_than_it_reaches(flying):
