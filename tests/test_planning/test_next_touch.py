@@ -16,6 +16,10 @@ from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.touch_candidates import CandidateSettings, candidate_touches
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import SolidTool
+from rumi.tasks.rummage.build import _policy_of
+from rumi.tasks.rummage.motions import planned
+from rumi.tasks.rummage.scenes import find_task
+from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Box
@@ -132,3 +136,9 @@ def test_a_tool_without_pads_is_refused(scene: Scene) -> None:
     rod = Tool(BOUNDS, shape=SolidTool([Box([0.01, 0.01, 0.03])]), body_spacing_m=0.02, info_spacing_m=0.01)
     with pytest.raises(UsageError, match="palm and two pads"):
         act(replace(scene, tool=rod), PoseBelief.uniform(at((0.4, 0.0, 0.0))))
+
+
+def test_it_is_chosen_on_the_cpu_wherever_plans_are_made() -> None:
+    settings = preset(task="box", device="cuda", conditions="lab")
+    known = replace(settings, planner=planned(find_task("box"), settings))
+    assert isinstance(_policy_of(known, torch.ones(3)), NextTouchPolicy)

@@ -242,8 +242,9 @@ def reachability(tool: Tool, workspace: Workspace) -> Float[Tensor, "V"]:
 
 
 def _policy_of(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
-    """The policy of the settings' method, on their device."""
-    device = settings.torch_device
+    """The policy of the settings' method, on their device; one that chooses the next touch is for the CPU."""
+    chosen = settings.method == "rumi" and bool(settings.planner.next_touch)
+    device = torch.device("cpu") if chosen else settings.torch_device
     policy = make_policy(settings, reach.to(device))
     return policy if device.type == "cpu" else PolicyOnDevice(policy, device)
 

@@ -42,13 +42,14 @@ class Settings:
 
     Attributes:
         task: what to find; `rumi tasks` lists them.
-        method: "rumi" weighs information against reachability; "info-only" and "reach-only" are the paper's
-            ablations with one of the two costs. "slide" goes to the object and along its surface; "gpvr" and
-            "gpvr-greedy" go where a Gaussian-process implicit surface is least sure (extra `baselines`).
+        method: "rumi" weighs information against reachability, or chooses the next touch (`planner.next_touch`);
+            "info-only" and "reach-only" are the paper's ablations with one of the two costs. "slide" goes to the object
+            and along its surface; "gpvr" and "gpvr-greedy" go where a Gaussian-process implicit surface is least sure
+            (extra `baselines`).
         preset: where all other settings started from; "paper" holds the paper's Table IV.
         seed: of all randomness.
         steps: actions at most; None for as many as the task allows.
-        device: where plans are made, "cpu" or "cuda"; the belief is followed on the CPU.
+        device: where plans are made, "cpu" or "cuda"; the belief is followed on the CPU, and a next touch chosen there.
         dtype: of the belief and the planner.
         replan_every: actions carried out of one plan; a contact always asks for a new one.
         approach_m: length of an action that may touch the object, which is slow then, for an action lasts as long
