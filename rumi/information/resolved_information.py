@@ -7,6 +7,8 @@ from torch import Tensor
 from sdf import se3
 from sdf.symmetry import Symmetries
 
+_CHUNK = 4_000_000  # pairs of poses of all actions that are looked at at once
+
 
 def pose_kernel(
     world_T_object: Float[Tensor, "N 4 4"], symmetries: Symmetries, *, position_m: float, rotation_rad: float
@@ -55,10 +57,10 @@ def outcome_information(
         log_weights: of the poses, normalised or not.
         outcomes: number of the outcome that each pose leads to surely, of K actions.
     """
-    weights = log_weights.to(kernel).softmax(-1)
-    same = (outcomes[:, :, None] == outcomes[:, None, :]).to(kernel)
-    shared = same @ weights
-    held = (same * (kernel * weights)).sum(-1)
-    tiny = torch.finfo(kernel.dtype).tiny
-    after = (shared.clamp_min(tiny).log() - held.clamp_min(tiny).log()) @ weights
-    return (resolved_entropy(kernel, log_weights) - after).clamp_min(0.0)
+    weights, tiny = log_weights.to(kernel).softmax(-1), torch.finfo(kernel.dtype).tiny
+    after = list[Tensor]()
+    for part in outcomes.split(max(1, _CHUNK // max(1, kernel.numel()))):
+        same = (part[:, :, None] == part[:, None, :]).to(kernel)
+        shared, held = same @ weights, (same * (kernel * weights)).sum(-1)
+        after.append((shared.clamp_min(tiny).log() - held.clamp_min(tiny).log()) @ weights)
+    return (resolved_entropy(kernel, log_weights) - torch.cat(after)).clamp_min(0.0)

@@ -28,7 +28,7 @@ class FirstContacts(NamedTuple):
     Attributes:
         step: (K, N), of the way, from 0; the way's own number of steps where it meets nothing.
         point: (K, N), of the tool, that is deepest then; 0 where there is none.
-        checked: share of the steps at which distances were looked up.
+        checked: share of the steps at which distances were looked up, at most.
     """
 
     step: Int[Tensor, "K N"]
@@ -56,15 +56,21 @@ class TouchingSurface:
             shape: of the gripper.
             pad_spacing_m: between points of the pads.
             palm_spacing_m: between points of the palm.
-            patch_m: side of the parts of the pads that feel differently.
+            patch_m: side of the parts of a pad that feel differently.
         """
         pads, every = shape.pad_shell(pad_spacing_m), shape.surface(palm_spacing_m)
         palm = every[shape.in_palm(every)]
-        cells = torch.unique((pads / patch_m).round(), dim=0, return_inverse=True)[1]
+        cells = torch.cat(((pads / patch_m).round(), (pads[:, 1:2] > 0).to(pads)), -1)
+        cells = torch.unique(cells, dim=0, return_inverse=True)[1]
         points = torch.cat((pads, palm)).float()
         patch = torch.cat((cells, torch.full((len(palm),), -1)))
         groups = near_groups(points, GROUP).flatten()
         return cls(points[groups].contiguous(), patch[groups])
+
+    @cached_property
+    def radius_m(self) -> float:
+        """Distance of the outermost point from the tool's upright axis."""
+        return float(self.points[:, :2].norm(dim=-1).max())
 
     @cached_property
     def spheres(self) -> Float[Tensor, "G 4"]:
@@ -89,8 +95,8 @@ def first_contacts(
 ) -> FirstContacts:
     """Where each of K ways first comes as near to an object as `near_m`, for each of N poses of it.
 
-    What it touches at its first step it may let go of: that is a contact, of step 0, where a later step is deeper in it
-    than those before.
+    A way's first step is where the tool is. What it touches there it may let go of: that is a contact, of step 0, where
+    a later step is deeper in it than those before.
 
     Args:
         sdf: of the object.
@@ -144,7 +150,7 @@ def _first_contacts_numba(
 
     shape = len(ways), len(world_T_object)
     step, point, looked = (torch.zeros(shape, dtype=torch.int32) for _ in range(3))
-    numbers = torch.tensor((near_m, float(tool.points[:, :2].norm(dim=-1).max()), LET_GO_M))
+    numbers = torch.tensor((near_m, tool.radius_m, LET_GO_M))
     kernel(
         ways.float().contiguous().numpy(),
         steps.to(torch.int32).contiguous().numpy(),

@@ -13,7 +13,7 @@ from sdf.grid_numba import fast, lattice_of, value
 from sdf.intrinsics_numba import at, put
 from sdf.part_numba import indices
 
-_ROUNDED_M = 1e-5  # that single precision may take from a distance
+_UNEVEN_M = 1e-3  # by which a table's distances may change more than a point moves
 
 
 @fast
@@ -72,7 +72,7 @@ def _first_contacts(ways, steps, rows, points, spheres, numbers, grid, step, poi
             _apart(tool, spheres, 0, groups, groups, flat, lattice, bounds)
             for group in range(groups):
                 apart = bounds[group] - at(spheres, 3 * groups + group)
-                if apart >= near or apart >= deepest:
+                if apart >= deepest + np.float32(_UNEVEN_M):
                     clear = min(clear, apart)
                     continue
                 _apart(tool, points, size * group, size, size * groups, flat, lattice, distances)
@@ -87,7 +87,7 @@ def _first_contacts(ways, steps, rows, points, spheres, numbers, grid, step, poi
                 now = now if floor == near else np.int64(0)
                 break
             floor = max(floor, deepest)
-            room, went = clear - near - np.float32(_ROUNDED_M), np.float32(0.0)
+            room, went = clear - near - np.float32(_UNEVEN_M), np.float32(0.0)
             now += 1
             while now < last:
                 dx, dy = ways[k, now, 0] - ways[k, now - 1, 0], ways[k, now, 1] - ways[k, now - 1, 1]

@@ -55,8 +55,9 @@ class Plan:
         skipped: what was skipped, by name, and how much of the whole (0..1).
         timings_s: seconds by stage.
         info: plain values about the plan. Policies that predict say by `predicted_information` what each action is
-            expected to gather anew (in the unit of the field that they plan on), and by `predicted_displacement` how
-            far each is expected to move the object (metres, world axes), both for the likeliest rollout.
+            expected to gather anew (in the unit of the field that they plan on), and those that roll pushes out by
+            `predicted_displacement` how far each is expected to move the object (metres, world axes), both for the
+            likeliest rollout.
         samples: paths of some samples, for figures; None where none were drawn, or nobody kept them.
     """
 

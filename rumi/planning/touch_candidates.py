@@ -30,7 +30,7 @@ class CandidateSettings(Checked):
         clear_m: how far in front of a touch the last straight part of a way begins.
         press_m: how far beyond a touch it ends: where the object is believed to be nearer it ends sooner.
         facing_rad: deviation of the tool's yaw from facing the surface.
-        above_m: of the pads' underside over the highest of the object, where a way goes over it.
+        above_m: of the pads' underside over the highest of some points of the object, where a way goes over it.
         back_m: how far a way that first goes back goes.
         actions: that a way may take, at most.
     """
@@ -58,9 +58,9 @@ def candidate_touches(
 
     Those within the limits of tool and arm alone, where there are any: what goes along a limit leads elsewhere.
 
-    A touch is a point of the surface at a pose, both drawn evenly, that faces sideways, met along its normal by one
-    of the pads' foremost points. The tool turns to face it, or not; it goes there straight, or by a place in front of
-    it, having gone back before or not, or over the object.
+    A touch is a point of the surface at a pose, both drawn evenly, that faces sideways if there are any such, met level
+    along its normal by one of the pads' foremost points. The tool turns to face it, or not; it goes there straight, or
+    by a place in front of it, having gone back before or not, or over the object.
 
     Args:
         world_T_object: poses, of equal weight.
@@ -124,6 +124,7 @@ def candidate_touches(
     third = torch.where(kind == 1, second, before)
     controls, lengths = _controls(torch.stack((first, second, third, end), 1), tool, configuration, settings.actions)
     ends = here[:, None] + (controls * tool.scale.to(like)).cumsum(1)
+    ends = torch.cat((torch.maximum(torch.minimum(ends[..., :3], high), low), ends[..., 3:]), -1)  # but for rounding
     free = tool.within_limits(ends).all(-1)
     kept = (free | ~free.any()).nonzero()[: settings.count, 0]
     return controls[kept], lengths[kept]
@@ -145,5 +146,5 @@ def _controls(
     number = torch.arange(int(lengths.max()), device=places.device).expand(len(places), -1).contiguous()
     leg = torch.searchsorted(ends, number, right=True).clamp_max(legs.shape[1] - 1)
     rows = torch.arange(len(places), device=places.device)[:, None]
-    controls = legs[rows, leg] / parts[rows, leg].clamp_min(1)[..., None]
+    controls = (legs[rows, leg] / parts[rows, leg].clamp_min(1)[..., None]).clamp(-1.0, 1.0)
     return torch.where((number < ends[:, -1:])[..., None], controls, torch.zeros_like(controls)), lengths

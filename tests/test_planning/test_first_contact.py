@@ -60,10 +60,21 @@ def test_steps_beyond_a_ways_own_are_not_looked_at(box: ObjectModel, surface: To
     assert found.step[1, 0] == 10
 
 
-def test_what_it_touches_already_is_let_go_of_or_pressed_on(box: ObjectModel, surface: TouchingSurface) -> None:
+@pytest.mark.parametrize("version", ["torch", "numba"])
+def test_what_it_touches_already_is_let_go_of_or_pressed_on(
+    box: ObjectModel, surface: TouchingSurface, version: str
+) -> None:
+    if version == "numba":
+        pytest.importorskip("numba")
+    with backend.force(version):
+        _let_go_or_pressed(box, surface)
+
+
+def _let_go_or_pressed(box: ObjectModel, surface: TouchingSurface) -> None:
     here = 0.3 - HALF[0] - 0.035 + 0.002  # two millimetres in it
-    back = straight((here, 0.0, 0.04, 0.0), (here - 0.05, 0.0, 0.04, 0.0), 20)
-    on = straight((here, 0.0, 0.04, 0.0), (here + 0.05, 0.0, 0.04, 0.0), 20)
+    start = torch.tensor([[here, 0.0, 0.04, 0.0]])
+    back = torch.cat((start, straight((here, 0.0, 0.04, 0.0), (here - 0.05, 0.0, 0.04, 0.0), 19)))
+    on = torch.cat((start, straight((here, 0.0, 0.04, 0.0), (here + 0.05, 0.0, 0.04, 0.0), 19)))
     again = torch.cat((back, back.flip(0)))
     steps = torch.tensor([20, 20])
     found = first_contacts(box.sdf, placed(0.3)[None], torch.stack((back, on)), steps, surface)
@@ -77,8 +88,8 @@ def test_the_palm_feels_nothing_and_the_pads_have_parts(surface: TouchingSurface
     shape = GripperShape()
     assert bool(shape.in_palm(surface.points[palm]).all())
     assert int(surface.patch.max()) >= 7
-    left = surface.patch[surface.points[:, 1] > 0.01]
-    right = surface.patch[surface.points[:, 1] < -0.01]
+    left = surface.patch[surface.points[:, 1] > 0.0]
+    right = surface.patch[surface.points[:, 1] < 0.0]
     assert not set(left[left >= 0].tolist()) & set(right[right >= 0].tolist())
 
 

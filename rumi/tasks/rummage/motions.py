@@ -81,10 +81,16 @@ def unsteady(pose_filter: PoseFilter) -> bool:
 def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     """The planner's settings with what suits guarded moves in space, where nothing else is asked for.
 
-    Plans count on actions that end where they touch, a push costs certainty, and reach is worth less: no action takes
-    the object far. Information is as near to the surface as pads feel it, so that plans touch what is nearly known.
+    The next touch is chosen, unless plans by a push model are asked for. These count on actions that end where they
+    touch, a push costs certainty, and reach is worth less: no action takes the object far. Information is as near to
+    the surface as pads feel it, so that plans touch what is nearly known.
     """
     planner = settings.planner
+    if is_planar(spec) and planner.next_touch:
+        raise UsageError(
+            f"Expected a tool that moves in space with --planner.next-touch True, got {spec.name}, whose tool keeps to "
+            "a plane: leave it out there"
+        )
     if is_planar(spec) or guarded(spec, settings).guarded != "always" or planner.push_model not in (AUTO, _CARRIED):
         return planner
     information = planner.information
@@ -93,7 +99,7 @@ def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
     return replace(
         planner,
         information=information,
-        next_touch=planner.next_touch is not False,
+        next_touch=planner.push_model == AUTO if planner.next_touch is None else planner.next_touch,
         push=replace(planner.push, guarded=True),
         push_scale=_PUSH_SCALE if planner.push_scale is None else planner.push_scale,
         sensed_here=planner.sensed_here is not False,
