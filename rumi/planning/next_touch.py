@@ -24,7 +24,6 @@ from rumi.planning.policy import Plan, PlanRequest
 from rumi.planning.touch_candidates import CandidateSettings, candidate_touches
 from rumi.resampling import systematic
 from rumi.robot.gripper import GripperShape
-from rumi.robot.tool_shape import ToolShape
 from rumi.weights import check_weights
 from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_finite
@@ -87,6 +86,11 @@ class NextTouchPolicy:
         tool, model, like = scene.tool, scene.model, scene.workspace.points
         if not tool.spatial:
             raise ValueError("Expected a tool that moves in space, got one that keeps to a plane")
+        if not isinstance(tool.shape, GripperShape):
+            raise UsageError(
+                "Expected a gripper of a palm and two pads, whose next touch is chosen, got a "
+                f"{type(tool.shape).__name__}: plan with --planner.next-touch False"
+            )
         watch, here = Stopwatch(self.now), scene.configuration.to(like)
         generator = seeding.on_device(request.generator, like.device)
         few = subsample(request.belief, own.particles)
@@ -178,17 +182,8 @@ class NextTouchPolicy:
 
 
 @functools.cache
-def _surface(shape: ToolShape, device: torch.device) -> TouchingSurface:
-    """Surface of a gripper.
-
-    Raises:
-        UsageError: it is another tool.
-    """
-    if not isinstance(shape, GripperShape):
-        raise UsageError(
-            f"Expected a gripper of a palm and two pads, whose next touch is chosen, got a {type(shape).__name__}: "
-            "plan with --planner.next-touch False"
-        )
+def _surface(shape: GripperShape, device: torch.device) -> TouchingSurface:
+    """Surface of a gripper."""
     made = TouchingSurface.of(shape, pad_spacing_m=_PAD_SPACING_M, palm_spacing_m=_PALM_SPACING_M, patch_m=_PATCH_M)
     return made.to(device)
 
