@@ -17,7 +17,7 @@ def few(task: str) -> Settings:
     """Settings of a run whose plans are made of few samples."""
     settings = preset("default", task=task, seed=1000, device="cuda", conditions="lab")
     mppi = replace(settings.planner.mppi, samples=40, warmup_iterations=1)
-    return replace(settings, planner=replace(settings.planner, mppi=mppi))
+    return replace(settings, planner=replace(settings.planner, mppi=mppi, next_touch=False))
 
 
 @pytest.mark.sim
