@@ -12,7 +12,7 @@ from annotated_types import Ge
 
 from rumi.errors import UsageError
 from rumi.registry import Table
-from sdf.bounds import Checked, Count, OneOf, Share, ShareAbove0
+from sdf.bounds import Checked, Count, CountOr0, OneOf, Share, ShareAbove0
 
 
 class StopEvidence(NamedTuple):
@@ -78,6 +78,9 @@ class StopSettings(Checked, refusal=UsageError):
         leeway: times the chance of being wrong by which "probability" may miss once the tool has let go of an object
             that the belief was sure of while they touched: what was right stays so then, what was wrong shows (tuning
             drills: of 71 with .9 and more all are right, of 3 with less one). 1 for none.
+        further: touches that a belief has to stay sure through before a run ends as sure: where few tell all, what they
+            were taken for wrongly shows at the next. None for 1 where the next touch is chosen and the tool does not
+            let go of the object (`retreats`), else 0.
         most_nll: expected nll beyond which "probability" does not stop: poses that are all within the tolerance may lie
             too far apart for the object to count as found. None for what counts as found where the object is followed
             in space, else any.
@@ -96,6 +99,7 @@ class StopSettings(Checked, refusal=UsageError):
     apc_ratio: float = 0.03
     probability: ShareAbove0 = 0.95
     leeway: Annotated[float, Ge(1.0)] = 2.0
+    further: CountOr0 | None = None
     most_nll: Annotated[float, Ge(0.0)] | None = None
     points_in_turn: Count = 32
     least_chance: Share = 0.01

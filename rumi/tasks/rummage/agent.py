@@ -1,7 +1,8 @@
 """Rummaging's agent: believe, plan a path of much information that stays in reach, follow it, until sure."""
 
 import functools
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -45,6 +46,7 @@ _STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "fault
 _TOLD = ("measured", "corrected", "estimated")  # motions that tell of the push, not of the push model
 _RETREATS = 4  # on end: a pad that is stuck feels wherever it is
 _HOLDS = "the tool touches the object, which may lean on it"
+_ONCE = "it was sure, and no further touch has borne that out"
 _PARTS = 8  # of an action, in which its free path is worked out again
 
 
@@ -151,10 +153,11 @@ class Rummager:
     def stop(self, state: RummageState) -> StopReason | None:
         """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be.
 
-        An object that may lean on the tool is let go of first: what leans is elsewhere once it stands.
+        An object that may lean on the tool is let go of first: what leans is elsewhere once it stands. Of another in
+        space the belief has to stay sure through a further touch.
         Where the object may have tipped, and nothing but touches tell, there is nothing to do about it.
         """
-        if state.record.converged and state.watch.doubt() is None and not self._lets_go(state):
+        if state.watch.doubt() is None and self._borne_out(state.history) and not self._lets_go(state):
             return "sure"
         if state.record.converged and state.watch.unseated == "tips":
             return "nothing to do"
@@ -258,6 +261,12 @@ class Rummager:
             pushes=pushes,
         )
 
+    def _borne_out(self, history: Sequence[StepRecord]) -> bool:
+        """Whether the belief is sure, and has stayed so through as many further touches as the stop rule asks for."""
+        sure = list(itertools.takewhile(lambda step: step.converged, reversed(history)))
+        further = sum(bool(step.reading.in_contact.any()) for step in sure[:-1])
+        return bool(sure) and further >= (self.stop_rule.further or 0)
+
     def _lets_go(self, state: RummageState) -> bool:
         """Whether the belief is sure of an object that may lean on the tool, and there is a way to let go of it."""
         sure = self.retreats and state.record.converged and state.retreated < _RETREATS
@@ -309,6 +318,8 @@ class Rummager:
     def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> RunResult:
         """How the run ended."""
         doubt = state.watch.doubt() or (_HOLDS if self._lets_go(state) else None)
+        if doubt is None and state.record.converged and not self._borne_out(state.history):
+            doubt = _ONCE
         ended = summarise(self, state.history, stopped_by, doubt)
         return replace(ended, lost=state.watch.lost, explanations=dict(state.watch.explanations))
 

@@ -164,10 +164,13 @@ def build_rummager(
             further = make_evidence(following.evidence, model.sdf, surface)
         pose_filter = PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed)
     careful = unsteady(pose_filter) and guarded(spec, settings).guarded == "always"
+    retreats, planner = careful if settings.retreats is None else settings.retreats, planned(spec, settings)
+    if stop.further is None:
+        stop = replace(stop, further=int(bool(planner.next_touch) and not retreats))
     return Rummager(
         model,
         pose_filter.to(dtype),
-        _policy_of(replace(settings, planner=planned(spec, settings)), reachability(tool, workspace)),
+        _policy_of(replace(settings, planner=planner), reachability(tool, workspace)),
         workspace,
         tool,
         initialise=settings.initialise,
@@ -185,7 +188,7 @@ def build_rummager(
         looks_again=_looks_again(spec, settings),
         senses_motion=spec.measures_motion and settings.simulator.measures_motion,
         approach_m=(APPROACH_M if careful else 0.0) if settings.approach_m is None else settings.approach_m,
-        retreats=careful if settings.retreats is None else settings.retreats,
+        retreats=retreats,
         sensors=_sensors(spec, settings),
         pushes=push_posterior_of(settings.planner) if _slides(spec, settings.planner) else None,
     )

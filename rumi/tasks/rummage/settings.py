@@ -183,8 +183,8 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     if "made_with" in values and "filter" in values:
         # runs on record that do not say otherwise are of before errors of a whole run were particles' own, populations
         # exchanged particles, what is felt standing still counted less, what is pushed in space slipped, a camera
-        # that looks again was evidence of each particle's own motion, each cell that a view sees through counted, and
-        # what stands on its rim turned about it
+        # that looks again was evidence of each particle's own motion, each cell that a view sees through counted, what
+        # stands on its rim turned about it, and the next touch was chosen in space
         following = {"stated_errors": "noise", **values["filter"]}
         spec = (SCENES | DRAWN).get(values.get("task", ""))
         if spec is not None and spec.looks_again and "seen_again_points" not in following.get("trajectories", {}):
@@ -195,7 +195,8 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
             if "free_points" not in following["trajectories"]:
                 again = spec is not None and spec.looks_again
                 following["trajectories"] |= _views_alike(following["trajectories"], again=again)
-        values = {**values, "filter": following}
+        planner, stop = {"next_touch": False, **values.get("planner", {})}, {"further": 0, **values.get("stop", {})}
+        values = {**values, "filter": following, "planner": planner, "stop": stop}
     extra = {"schema", "made_with"}
     return dataclass_of(Settings, {name: value for name, value in values.items() if name not in extra})
 
