@@ -77,7 +77,7 @@ def test_a_mug_never_retreats(all_in_reach):
 )
 def test_a_run_lets_go_before_it_is_sure(retreats, felt, lets_go, all_in_reach):
     own = replace(settings(), task="drill-0", steps=3, retreats=retreats)
-    own = replace(own, simulator=replace(own.simulator, measures_motion=False))
+    own = replace(own, simulator=replace(own.simulator, measures_motion=False), stop=replace(own.stop, further=0))
     few = replace(own.filter.trajectories, unseen_particles=20)
     with build(replace(own, filter=replace(own.filter, trajectories=few)), cache_dir=all_in_reach) as (sim, agent):
         state = agent.begin(sim.reset(0), seed=0, clock=Clock())
@@ -126,3 +126,40 @@ def test_less_is_asked_for_only_once_it_has_let_go(held, holds_on, retreats, exp
         now = replace(result, reading=readings[1])
         evaluation.evaluate_step(agent, Clock(), (last,), now, state.record.belief, state.record.added)
     assert asked[-1].let_go is expected
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("further", "steps", "stops"),
+    [
+        (None, [(True, True)], False),  # sure by a touch, and sure or touched, as each step is
+        (None, [(True, True), (True, True)], True),
+        (None, [(True, True), (True, False)], False),
+        (None, [(True, False), (True, False), (True, True)], True),
+        (None, [(True, True), (False, True), (True, True)], False),
+        (0, [(True, True)], True),
+        (2, [(True, True), (True, True)], False),
+        (2, [(True, True), (True, True), (True, False), (True, True)], True),
+        (0, [(True, True), (False, True)], False),
+    ],
+)
+def test_a_belief_in_space_has_to_stay_sure_through_a_further_touch(further, steps, stops, all_in_reach):
+    own = replace(settings(), task="drawn-shelf-box", steps=9)
+    own = replace(own, simulator=replace(own.simulator, measures_motion=False), stop=replace(own.stop, further=further))
+    few = replace(own.filter.trajectories, unseen_particles=20)
+    with build(replace(own, filter=replace(own.filter, trajectories=few)), cache_dir=all_in_reach) as (sim, agent):
+        assert not agent.retreats and agent.stop_rule.further == (1 if further is None else further)
+        state = agent.begin(sim.reset(0), seed=0, clock=Clock())
+        for sure, touched in steps:
+            reading = replace(state.record.reading, in_contact=torch.tensor([touched]))
+            record = replace(state.record, step=state.record.step + 1, converged=sure, reading=reading)
+            state = replace(state, record=record, history=(*state.history, record))
+        assert agent.stop(state) == ("sure" if stops else None)
+        if not stops and steps[-1][0]:
+            assert "no further touch" in agent.result(state, "steps", None).why_not
+
+
+def test_drills_let_go_and_mugs_are_seen(all_in_reach):
+    for task in ("drill", "mug"):
+        with build(rumi.preset("fast", task=task, conditions="lab"), cache_dir=all_in_reach) as (_, agent):
+            assert agent.stop_rule.further == 0

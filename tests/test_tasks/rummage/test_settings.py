@@ -168,3 +168,13 @@ def test_a_replay_believes_by_the_push_model_of_its_run(monkeypatch):
     assert again.filter.pushed.predict.push is live.filter.pushed.predict.push is push_along_path
     measured = TASKS["mug-0"].agent(replace(settings, task="mug-0"))
     assert measured.filter.pushed is None and measured.policy.settings.push_model == "displacement"
+
+
+def test_runs_on_record_of_before_plan_in_space_as_they_did():
+    told = to_dict(preset(task="box"))
+    for part, name in (("planner", "next_touch"), ("planner", "touches"), ("stop", "further")):
+        del told[part][name]
+    before = from_dict(told | {"made_with": {}})
+    assert before.planner.next_touch is False and before.stop.further == 0
+    now = from_dict(to_dict(preset(task="box")) | {"made_with": {}})
+    assert now.planner.next_touch is None and now.stop.further is None
