@@ -165,8 +165,8 @@ def build_rummager(
         pose_filter = PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed)
     careful = unsteady(pose_filter) and guarded(spec, settings).guarded == "always"
     retreats, planner = careful if settings.retreats is None else settings.retreats, planned(spec, settings)
-    if stop.further is None:
-        stop = replace(stop, further=int(bool(planner.next_touch) and not retreats))
+    if stop.further is None and planner.next_touch and not retreats:
+        stop = replace(stop, further=1)
     return Rummager(
         model,
         pose_filter.to(dtype),

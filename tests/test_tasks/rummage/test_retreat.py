@@ -162,4 +162,4 @@ def test_a_belief_in_space_has_to_stay_sure_through_a_further_touch(further, ste
 def test_drills_let_go_and_mugs_are_seen(all_in_reach):
     for task in ("drill", "mug"):
         with build(rumi.preset("fast", task=task, conditions="lab"), cache_dir=all_in_reach) as (_, agent):
-            assert agent.stop_rule.further == 0
+            assert not agent.stop_rule.further
