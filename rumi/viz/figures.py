@@ -18,10 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_TO_SEE = (
-    "Blue outlines: where the object may be. Orange: where a touch would tell most. The tool goes there, touches, "
-    "and the outlines close in on the true one (dashed)."
-)
+_MAY_BE, _TELLS = "Blue outlines: where the object may be.", "Orange: where a touch would tell most."
+_CLOSE_IN = "and the outlines close in on the true one (dashed)."
 
 
 @set_aside()  # each figure is followed by a collection
@@ -87,6 +85,13 @@ def ending(run: Run) -> str:
         error = f", off by {run.result.position_error_mm:.1f} mm and {run.result.rotation_error_deg:.1f}°"
     plural = "" if run.result.steps == 1 else "s"
     return f" · {ended} after {run.result.steps} action{plural}{error}"
+
+
+def to_see(run: Run) -> str:
+    """What the scenes of a run show; no field of information where plans rest on none."""
+    fields = any(step.plan is not None and "information" in step.plan.fields for step in run.steps)
+    middle = f"{_TELLS} The tool goes there, touches," if fields else "The tool touches it,"
+    return f"{_MAY_BE} {middle} {_CLOSE_IN}"
 
 
 def _thresholds(run: Run) -> dict[str, float]:
@@ -168,7 +173,7 @@ def _save_overview(run: Run, geometry: SceneGeometry, steps: Sequence[int], exte
         for ax in rows[-1].axes:
             ax.set_xlabel("actions")
             ax.tick_params(labelbottom=True)
-        figure.suptitle(f"{heading(run)}\n{_TO_SEE}", fontsize=10, color=style.INK)
+        figure.suptitle(f"{heading(run)}\n{to_see(run)}", fontsize=10, color=style.INK)
         return style.save(figure, path)
 
 

@@ -14,7 +14,7 @@ from rumi.runs.scene_geometry import outline_of_points
 from rumi.viz import style
 from rumi.viz.animation import animate
 from rumi.viz.curves import apc_curve, highest_nll, nll_curve
-from rumi.viz.figures import heading, make_figures, telling_steps
+from rumi.viz.figures import heading, make_figures, telling_steps, to_see
 from rumi.viz.outlines import contours, hull, object_outline, placed
 from rumi.viz.scene import information_at, interesting, scene_from_above
 from rumi.viz.space import BOXES, scene_in_space, tips
@@ -216,3 +216,9 @@ def test_an_object_that_was_taken_away_leaves_the_rest_of_the_curves_to_be_seen(
     assert highest_nll(made.steps, 20.0) == pytest.approx(max(expected, known, 20.0))
     gone = [*made.steps[:-1], replace(made.steps[-1], nll=5e7)]
     assert highest_nll(gone, 20.0) == pytest.approx(10.0 * max(expected, 20.0))
+
+
+def test_an_overview_speaks_of_a_field_only_where_plans_rest_on_one(run):
+    assert "Orange" in to_see(run)
+    bare = [step if step.plan is None else replace(step, plan=replace(step.plan, fields={})) for step in run.steps]
+    assert "Orange" not in to_see(replace(run, steps=bare))
