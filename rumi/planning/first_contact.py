@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.robot.border import near_groups
+from rumi.robot.border import bounding_balls, near_groups
 from rumi.robot.gripper import GripperShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
@@ -75,9 +75,8 @@ class TouchingSurface:
     @cached_property
     def spheres(self) -> Float[Tensor, "G 4"]:
         """Middle and radius of a ball about each group."""
-        groups = self.points.view(-1, GROUP, 3)
-        middle = 0.5 * (groups.amin(1) + groups.amax(1))
-        return torch.cat((middle, (groups - middle[:, None]).norm(dim=-1).amax(1, keepdim=True)), -1).contiguous()
+        middle, radius = bounding_balls(self.points.view(-1, GROUP, 3))
+        return torch.cat((middle, radius[:, None]), -1)
 
     def to(self, device: torch.device) -> Self:
         """The same on a device."""

@@ -25,7 +25,7 @@ class RummagingSettings(PushSettings):
 
     Attributes:
         next_touch: choose the next touch by the belief's first contacts (`NextTouchPolicy`) in the place of all that
-            follows. None for where actions in space are guarded.
+            follows. None for where actions in space are guarded and no push model is asked for.
         touches: of that choice.
         information: the field that is to be gathered.
         mppi: the planner; its iterations are `warmup_iterations` for the first plan.

@@ -33,9 +33,13 @@ class Border(NamedTuple):
     def of(cls, points: Float[Tensor, "n 2"], groups: Int[Tensor, "G size"]) -> "Border":
         """The same points and groups, with what bounds them."""
         sets = points[groups]
-        centres = 0.5 * (sets.amin(1) + sets.amax(1))
-        radii = (sets - centres[:, None]).norm(dim=-1).amax(-1)
-        return cls(points, groups, sets, centres, radii, float(points.norm(dim=-1).max()))
+        return cls(points, groups, sets, *bounding_balls(sets), float(points.norm(dim=-1).max()))
+
+
+def bounding_balls(sets: Float[Tensor, "G size D"]) -> tuple[Float[Tensor, "G D"], Float[Tensor, "G"]]:
+    """Middle of the box about each group of points, and radius of the group about it."""
+    centres = 0.5 * (sets.amin(1) + sets.amax(1))
+    return centres, (sets - centres[:, None]).norm(dim=-1).amax(-1)
 
 
 def near_groups(points: Float[Tensor, "n D"], size: int) -> Int[Tensor, "G size"]:
