@@ -25,12 +25,11 @@ from rumi.belief.sensed_motion import log_likelihood_of_motions
 from rumi.belief.tempering import check_finite, log_mean, power_of
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History, Kind, Segment
-from rumi.belief.trajectory_starts import brought_to, from_prior, jittered, jumped, least_fit
+from rumi.belief.trajectory_starts import brought_to, from_prior, is_narrow, jittered, jumped, least_fit
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import Generators, lone, normal
 from rumi.weights import effective_sample_size, normalise
-from sdf.so3 import wrap
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -47,7 +46,7 @@ _KERNEL = (0.0005, 0.0005, 0.01)  # deviations by which what is resampled moves:
 _KEPT = 0.98  # correlation of the physics from action to action
 _REMEMBERED = 10  # segments
 _SWEPT, _ASIDE_M = 0.01, 0.001  # least share of a belief that the tool pushes unfelt before a first touch, and how far
-_NARROW_M, _NARROW_RAD, _FEWER = 0.012, 0.2, 3  # deviations of a belief that so many times fewer particles stand for
+_FEWER = 3  # times fewer particles stand for a narrow belief
 
 
 @dataclass(frozen=True)
@@ -172,8 +171,25 @@ class BootstrapFilter(PoseTrajectoryFilter):
             now, log_weights = self._thinned(now, log_weights, random)
         allowed = 0.0 if reading.object_motion is None else _A_MOTION * len(spans)
         if not unfelt and told < least_fit(int(reading.in_contact.sum())) - allowed:
-            return self._jumped(*before, reading, path, random), []
+            return replace(self._jumped(*before, reading, path, random), log_evidence=now.log_evidence), []
         return now.at(resample_systematic(log_weights, generator=random)), spans
+
+    def with_segment(
+        self,
+        now: Trajectories,
+        log_weights: Float[Tensor, "N"],
+        segment: Segment,
+        random: torch.Generator,
+        *,
+        opens: bool,
+        closes: bool,
+    ) -> tuple[Trajectories, Float[Tensor, "M"]]:
+        """Particles and their log-weights after a segment in which none jumps."""
+        if not segment.pushes:
+            now, log_weights, _ = self._weighed(now, log_weights, segment, random)
+            return now, log_weights
+        now, log_weights, _ = self._weighed_pushes(now, log_weights, segment, random, opens=opens, jumps=False)
+        return self._thinned(now, log_weights, random)
 
     def _weighed_pushes(
         self,
@@ -253,7 +269,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
     def _thinned(self, now: Trajectories, log_weights: Tensor, random: torch.Generator) -> tuple[Trajectories, Tensor]:
         """Particles resampled and moved by a narrow kernel, where few of them count or there are too many."""
         many = self.own.unseen_particles
-        count = max(1, many // _FEWER) if narrow(self._poses(now, log_weights)) else many
+        count = max(1, many // _FEWER) if is_narrow(self._poses(now, log_weights)) else many
         if len(now) == count and float(effective_sample_size(log_weights)) >= 0.5 * count:
             return now, log_weights
         now = self._moved(now.at(resample_systematic(log_weights, count, generator=random)), random)
@@ -324,15 +340,6 @@ class BootstrapFilter(PoseTrajectoryFilter):
         gained = drawn.log_likelihood[:, 0]
         check_finite(gained)
         return gained
-
-
-def narrow(poses: Float[Tensor, "N 6"]) -> bool:
-    """Whether poses rest in one way, at about one place and yaw."""
-    if bool((poses[:, 3] != poses[0, 3]).any()) or bool((poses[:, 4] >= 0).any()):
-        return False
-    apart = wrap(poses[:, 2] - poses[0, 2])
-    turn = apart.std(unbiased=False)
-    return float(poses[:, :2].std(0, unbiased=False).max()) < _NARROW_M and float(turn) < _NARROW_RAD
 
 
 def _even(now: Trajectories) -> Float[Tensor, "N"]:

@@ -33,10 +33,21 @@ def log_evidence(
         pose_filter: of whose prior the action is.
         generator: of the draws.
     """
+    return predicted(before, log_weights, history, pose_filter, generator).log_evidence
+
+
+def predicted(
+    before: Trajectories,
+    log_weights: Float[Tensor, "N"],
+    history: History,
+    pose_filter: PoseTrajectoryFilter,
+    generator: torch.Generator,
+) -> Trajectories:
+    """Particles after an action, with the log marginal likelihood of its readings; arguments as of `log_evidence`."""
     rows = systematic(log_weights.double(), 0.5, len(before))
     start, errors = before.pose[rows].clone(), before.systematic[rows]
-    now = Trajectories.drawn(start, History.empty(), generator, systematic=errors)
-    return followed(now, history, pose_filter, generator).log_evidence
+    now = Trajectories.drawn(start, History.empty(history.tool.shape[-1]), generator, systematic=errors)
+    return followed(now, history, pose_filter, generator)
 
 
 def followed(

@@ -24,7 +24,8 @@ from sensors.reading import Reading
 _STUCK = 0.99  # chance that the same points feel again, of a hand that is stuck
 _SAME, _OTHER = 1.0, 9.0  # pairs of a hand that is right which the run begins with: the same points, and others
 _APART_M = 0.002  # that they moved meanwhile: what stands still feels the same
-_COUNTED = 3  # pairs of one action that tell: a steady push may go on as it began, and is no alarm by itself
+_COUNTED = 3  # pairs of one way that tell: a steady push may go on as it began, and is no alarm by itself
+_TURNED = 0.5  # cosine between the ways of two actions below which the second is no more of the first's push
 
 
 class Told(NamedTuple):
@@ -66,9 +67,34 @@ def told_by(readings: Sequence[Reading], model: Pushed, own: PoseTrajectorySetti
             again, of = _repeated(felt_pads(reading, model, own), reading.tool_pose, model.pads)
             right, pairs = right + again, pairs + of
     chance = right / pairs
-    told = min(same, _COUNTED) * math.log(_STUCK / chance)
+    counted = min(_COUNTED, _pairs_of_push(readings, model, own))
+    told = min(same, _COUNTED - counted) * math.log(_STUCK / chance)
     told += (moved - same) * math.log((1.0 - _STUCK) / (1.0 - chance))
     return Told(told, told + float(np.logaddexp(0.0, anywhere)) - math.log(2.0))
+
+
+def _pairs_of_push(readings: Sequence[Reading], model: Pushed, own: PoseTrajectorySettings) -> int:
+    """Pairs with the same points in the push that the last action goes on with, before that action."""
+    first = len(readings) - 1
+    while first and bool(readings[first].in_contact.all() & readings[first - 1].in_contact[-1]):
+        if _turns(readings, first):
+            break
+        first -= 1
+    push = readings[first:-1]
+    if not push:
+        return 0
+    silent = (~torch.cat([reading.in_contact for reading in push])).nonzero()[:, 0]
+    begun = int(silent[-1]) + 1 if len(silent) else 0
+    felt = torch.cat([felt_pads(reading, model, own) for reading in push])[begun:]
+    return _repeated(felt, torch.cat([reading.tool_pose for reading in push])[begun:], model.pads)[0]
+
+
+def _turns(readings: Sequence[Reading], number: int) -> bool:
+    """Whether an action goes another way than the one before it."""
+    start = readings[number - 2].tool_pose[-1] if number > 1 else readings[0].tool_pose[0]
+    places = [pose[:3, 3].double() for pose in (start, *(each.tool_pose[-1] for each in readings[number - 1 :][:2]))]
+    ways = places[1] - places[0], places[2] - places[1]
+    return float(torch.nn.functional.cosine_similarity(*ways, dim=0)) < _TURNED
 
 
 def _repeated(felt: Bool[Tensor, "K m"], tool: Float[Tensor, "K 4 4"], pads: Float[Tensor, "m 3"]) -> tuple[int, int]:

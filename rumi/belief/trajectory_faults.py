@@ -46,11 +46,16 @@ TRAJECTORY_FAULTS = (
 slides as no prior has it: friction or mass far from what is expected; the hand feels the same all the time; something
 else is felt where the object is not; the camera repeats its last view to the digit."""
 
-_DRAWS = 900  # poses to which a knock may have moved the object
+FALSE = 0.3
+"""Share of the actions with a false contact, where there are such."""
+
+ALIKE = 0.001
+"""Chance that something that stands in the way is felt alike all the way."""
+
+_DRAWS = 900  # poses to which a knock may have moved the object, at least
 _UNLIKELY = 5.0  # nats that an action is unlikely by, from which on that is worked out twice
 _APART_M = 0.01  # between places of the hand that feel something at one instant and the next, where it is not the same
 _TELLS = 1.0  # nats that a reading is short of what fits best, from which on something can be told from it
-_FALSE = 0.3  # share of the actions with a false contact, where there are such
 _BRIEF = 0.8, 0.1  # chance that a false contact, and a true one, lasts for two instants at most
 _AN_INSTANT, _PADS = 2, 2  # instants that a brief contact lasts at most, and pads of a hand
 _UNMET_M = 0.012  # from the surface of every particle: what is felt there is felt by none
@@ -58,7 +63,6 @@ _STRAINED = 15.0  # nats that an action is unlikely by, from which on the push m
 _USUAL = 0.5  # share of the actions of a wrong push model that look as usual
 _HIDDEN = 0.05  # chance that a camera sees nothing of an object that is there
 _NO_REPEAT = Told(-math.inf, -math.inf)
-_ALIKE = 0.001  # chance that something that stands in the way is felt alike all the way
 
 
 def new_segments(before: Trajectories, after: Trajectories) -> int:
@@ -102,7 +106,7 @@ def log_ratios(
     if felt and none < -_UNLIKELY:  # an estimate that errs by nats: the mean of two
         again = log_evidence(before, log_weights, history, pose_filter, generator)
         none = float(np.logaddexp(none, again)) - math.log(2.0)
-    gone, dead = _without_feeling(history, sensed)
+    gone, dead = without_feeling(history, sensed)
     seen = history.kind == Kind.SEEN
     if looks is not None and not bool(seen.any()):  # all else has the object hidden, and not where the view is free
         gone, seen = gone - math.log(_HIDDEN), history.kind == Kind.FREE
@@ -111,17 +115,17 @@ def log_ratios(
         dead += log_evidence(before, log_weights, shown, pose_filter, generator)
     told |= {"absent": gone - none, "dead hand": dead - none}
     if felt:
-        unmet = _unmet(after, history, model)
+        unmet = unmet_instants(after, history, model)
         told |= {
-            "false contacts": _false(len(unmet), own, stated_false(history, sensed)),
+            "false contacts": by_false_contacts(len(unmet), own, stated_false(history, sensed)),
             "push model off": math.log(_USUAL),
-            "second object": math.log1p(-_FALSE),
+            "second object": math.log1p(-FALSE),
         }
         if len(unmet) > 2:
-            beside = _beside(before, log_weights, history, unmet, pose_filter, generator) - none
-            told["second object"] = math.log(_FALSE) + beside
+            beside = sum(log_beside(before, log_weights, history, unmet, pose_filter, generator)) - none
+            told["second object"] = math.log(FALSE) + beside
             if stuck.repeated > _TELLS:  # it feels on the object, anywhere, or beside what is felt as usual, as likely
-                told["second object"] += math.log(_ALIKE)
+                told["second object"] += math.log(ALIKE)
                 either = np.logaddexp(stuck.ratio + math.log(2.0), stuck.repeated + beside)
                 told["stuck hand"] = float(either) - math.log(3.0)
     repeated = looks is not None and _repeats(*looks, pose_filter)
@@ -134,7 +138,7 @@ def log_ratios(
         misses = log_evidence(before, log_weights, blind, pose_filter, generator) - none
         # a view that does not fit is no repetition by chance; one that does may well be, of what stands still
         told["stale camera"] = misses - (math.log(own.outlier) if misses > _TELLS else 0.0)
-    told["knocked"] = _knocked(before, log_weights, history, pose_filter, own, generator) - none
+    told["knocked"] = log_knocked(before, log_weights, history, pose_filter, own, generator) - none
     if felt and none < -_STRAINED:
         doubting = pose_filter.doubting()
         told["push model off"] = log_evidence(before, log_weights, history, doubting, generator) - none
@@ -145,17 +149,17 @@ def _tensor(told: Mapping[str, float]) -> Float[Tensor, "K"]:
     return torch.tensor([told[name] for name in TRAJECTORY_FAULTS], dtype=torch.float64)
 
 
-def _false(unmet: int, own: MisfitSettings, stated: float) -> float:
+def by_false_contacts(unmet: int, own: MisfitSettings, stated: float) -> float:
     """Log-likelihood ratio of false contacts, by the instants at which something was felt where nothing is.
 
     Pads that are stated to feel falsely now and then do so for an instant: that is no fault, unless it comes often.
     """
     if not unmet:
-        return math.log1p(-_FALSE)
+        return math.log1p(-FALSE)
     brief = unmet <= _AN_INSTANT
     lasts, lasts_else = _BRIEF if brief else (1.0 - _BRIEF[0], 1.0 - _BRIEF[1])
     none = own.outlier * lasts_else + (stated if brief else 0.0)
-    return math.log(_FALSE * lasts / none)
+    return math.log(FALSE * lasts / none)
 
 
 def stated_false(history: History, sensed: PoseTrajectorySettings) -> float:
@@ -171,25 +175,24 @@ def _repeats(last: Reading, reading: Reading, pose_filter: PoseTrajectoryFilter)
     return len(old) > 0 and old.points.equal(new.points)
 
 
-def _beside(
+def log_beside(
     before: Trajectories,
     log_weights: Float[Tensor, "N"],
     history: History,
     unmet: Sequence[int],
     pose_filter: PoseTrajectoryFilter,
     generator: torch.Generator,
-) -> float:
-    """Log-likelihood of a reading where what was felt at some instants was something else than the object."""
+) -> tuple[float, float]:
+    """Log-likelihoods of what was felt at some instants, of something else than the object, and of the rest."""
     at = torch.searchsorted(history.point_ends, torch.arange(len(history.points)), right=True)
     others = torch.isin(at, torch.tensor(unmet))
     strange = float(history.weight[others & (history.kind == Kind.FELT)].sum())
     rest = replace(history, weight=history.weight.masked_fill(others, 0.0))
-    return log_evidence(before, log_weights, rest, pose_filter, generator) + strange * math.log(
-        pose_filter.own.outliers
-    )
+    told = log_evidence(before, log_weights, rest, pose_filter, generator)
+    return strange * math.log(pose_filter.own.outliers), told
 
 
-def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[float, float]:
+def without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[float, float]:
     """Log-likelihoods of a reading without an object, and of one by a hand that feels nothing.
 
     They are the same but for what a camera sees, which is counted of an absent object alone.
@@ -203,7 +206,7 @@ def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[
     return dead + never * float(worth[Kind.SEEN]), dead
 
 
-def _unmet(after: Trajectories, history: History, model: Pushed) -> list[int]:
+def unmet_instants(after: Trajectories, history: History, model: Pushed) -> list[int]:
     """Instants of the last segments at which the hand felt something where no particle has a surface.
 
     Not where it goes on feeling what it felt at a surface just before: that slid away.
@@ -235,7 +238,7 @@ def last_contact_off(after: Trajectories, new: int, pose_filter: PoseTrajectoryF
     The middle one of its points; 0 where nothing was felt, or nothing but what pads are stated to feel falsely.
     """
     history, model = after.history, pose_filter.model
-    false = _unmet(after, history.since(len(history) - new), model) if new and pose_filter.own.false else []
+    false = unmet_instants(after, history.since(len(history) - new), model) if new and pose_filter.own.false else []
     before = int(history.ends[len(history) - new - 1]) if new < len(history) else 0
     strange = {before + instant for instant in false} if len(false) <= _AN_INSTANT else set()
     for segment in reversed(range(len(history) - new, len(history))):
@@ -254,12 +257,12 @@ def _felt_at(history: History, instant: int) -> Float[Tensor, "m 3"]:
     return history.points[low:high][history.kind[low:high] == Kind.FELT]
 
 
-def _on_hand(points: Float[Tensor, "m 3"], tool: Float[Tensor, "3"]) -> Float[Tensor, "2"]:
+def _on_hand(points: Float[Tensor, "m 3"], tool: Float[Tensor, "C"]) -> Float[Tensor, "2"]:
     """Middle of points, seen from above in the hand's own frame."""
     return rotated(points[:, :2].mean(0) - tool[:2], -tool[2])
 
 
-def _knocked(
+def log_knocked(
     before: Trajectories,
     log_weights: Tensor,
     history: History,
@@ -271,13 +274,14 @@ def _knocked(
 
     Importance sampling of where it began, by the first segment; then sequential Monte Carlo.
     """
-    moves = normal((_DRAWS, 3), generator=generator, dtype=torch.float64)
-    rows = systematic(log_weights.double(), 0.5, _DRAWS)
+    draws = max(_DRAWS, len(before))
+    moves = normal((draws, 3), generator=generator, dtype=torch.float64)
+    rows = systematic(log_weights.double(), 0.5, draws)
     start = before.pose[rows].clone()
     start[:, :3] += moves * moves.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
-    first = History.empty().appended(history.segment(0))
+    first = History.empty(history.tool.shape[-1]).appended(history.segment(0))
     drawn = Trajectories.drawn(start, first, generator, systematic=before.systematic[rows])
-    drawn = drawn.replayed(pose_filter.model, pose_filter.own, first, torch.zeros(_DRAWS, dtype=torch.long))
+    drawn = drawn.replayed(pose_filter.model, pose_filter.own, first, torch.zeros(draws, dtype=torch.long))
     gained = drawn.log_likelihood[:, 0]
     begun = drawn.at(resample_systematic(gained, len(before), generator=generator))
     begun = replace(begun, log_evidence=log_mean(torch.zeros_like(gained), gained))

@@ -27,6 +27,7 @@ _NATS, _NATS_AN_INSTANT = (
     12.0,
     2.4,
 )  # by which readings of an action with contact are unlikely at the true poses, at most
+_NARROW_M, _NARROW_RAD = 0.012, 0.2  # deviations of place and yaw up to which poses are about one
 _STEPS, _FARTHEST_M, _LEVEL = 2, 0.08, 0.5  # of the way of a surface to a felt point
 
 
@@ -124,6 +125,14 @@ def least_fit(instants: int) -> float:
         instants: of contact in it.
     """
     return -(_NATS + _NATS_AN_INSTANT * instants)
+
+
+def is_narrow(poses: Float[Tensor, "N 6"]) -> bool:
+    """Whether poses rest in one way, at about one place and yaw."""
+    if bool((poses[:, 3] != poses[0, 3]).any()) or bool((poses[:, 4] >= 0).any()):
+        return False
+    turn = wrap(poses[:, 2] - poses[0, 2]).std(unbiased=False)
+    return float(poses[:, :2].std(0, unbiased=False).max()) < _NARROW_M and float(turn) < _NARROW_RAD
 
 
 def _edge(tip_rad: Float[Tensor, "N E"], share: Float[Tensor, "N"]) -> Tensor:

@@ -96,6 +96,31 @@ def test_instants_that_lie_close_together_are_compared_as_far_ones_are(model):
     assert ratio(model, nothing, reading(model, [HERE, HERE, THERE, THERE] * 3, way_m=0.0011)) < 2 * OTHER
 
 
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_a_push_that_goes_on_is_one_piece_of_evidence(model, count):
+    """However many actions it takes, of however many instants."""
+    steps = [reading(model, [HERE] * count, begins_m=0.005 * count * number) for number in range(8)]
+    steps = [reading(model, [[]], begins_m=-0.005), *steps]
+    told = [ratio(model, *steps[: number + 1]) for number in range(1, len(steps))]
+    assert sum(told) == pytest.approx(3 * SAME) and max(told[4:]) == 0.0
+
+
+def test_what_feels_the_same_another_way_is_another_piece_of_evidence(model):
+    there = reading(model, [HERE] * 5)
+    ahead = reading(model, [HERE] * 5, begins_m=0.025)
+    back = reading(model, [HERE] * 5, way_m=-0.005, begins_m=0.015)
+    assert ratio(model, there, ahead) == pytest.approx(0.0)
+    assert ratio(model, there, back) == pytest.approx(3 * SAME)
+
+
+def test_a_push_is_none_any_more_once_nothing_is_felt(model):
+    came_off = reading(model, [HERE] * 5 + [[]])
+    chance = 5.0 / 14.0  # one in ten, and all four pairs of that push, which came off by itself
+    assert ratio(model, came_off, reading(model, [HERE] * 5, begins_m=0.025)) == pytest.approx(
+        3 * math.log(0.99 / chance)
+    )
+
+
 def test_one_instant_tells_nothing_wherever_it_felt(model):
     assert told_by([reading(model, [[]]), reading(model, [HERE])], model, OWN, anywhere=5.0) == Told(0.0, 0.0)
 

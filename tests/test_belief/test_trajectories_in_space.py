@@ -5,10 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief.bootstrap_filter import narrow
 from rumi.belief.segments import felt_pads, path_of, pushed
 from rumi.belief.trajectory_history import Segment
-from rumi.belief.trajectory_starts import from_prior
+from rumi.belief.trajectory_starts import from_prior, is_narrow
 from rumi.seeding import generator
 from sdf import se3
 from sensors.observation import Observation
@@ -190,7 +189,7 @@ def test_a_belief_that_is_narrow_has_fewer_particles(box, prior):
     close[:, :3] *= 0.01
     close[:, 3] = 1.0
     near = replace(every, poses=close[:, None], apart=False)
-    assert narrow(close) and not narrow(every.pose)
+    assert is_narrow(close) and not is_narrow(every.pose)
     random = generator(3)
     wide = (even + torch.linspace(0.0, -20.0, len(every), dtype=torch.float64)).log_softmax(-1)
     assert [len(followed._thinned(now, wide, random)[0]) for now in (every, near)] == [300, 100]

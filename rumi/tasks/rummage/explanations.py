@@ -24,9 +24,18 @@ PRIOR: dict[str, float] = {
 }
 """What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
 
+IN_SPACE: dict[str, float] = {
+    "knocked": 0.25,
+    "absent": 0.2,
+    "dead hand": 0.2,
+    "false contacts": 0.12,
+    "second object": 0.08,
+    "stuck hand": 0.05,
+    "none of these": 0.1,
+}
+"""The same in space, where more particles stand for the motions that no push model has."""
+
 _MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
-IN_SPACE = {**_MISFITS, "stuck hand": 0.05}
-"""The same in space."""
 
 STATIC = {"hand off": 0.1, "camera off": 0.1, "another size": 0.1, "push model off": 0.05}
 """The same of faults that hold from the first view on."""
@@ -41,7 +50,7 @@ GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off", HAND_OR_C
 """Faults after which a search finds nothing."""
 
 SEARCHED = ("knocked", "none of these")
-"""Faults with the same search after them."""
+"""Faults with the same search after them, but in space, where a knock needs none."""
 
 UNFELT = ("absent", "dead hand", NOTHING_FELT)
 """Faults by which nothing is felt, until something is."""

@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief import rival_filters, stuck_hand, trajectory_faults
+from rumi.belief import island_faults, rival_filters, stuck_hand, trajectory_faults
 from rumi.belief.change_test import ChangeTest
+from rumi.belief.island_filter import IslandBelief, IslandFilter
 from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
 from rumi.belief.pose_filter import PoseFilter
@@ -143,7 +144,8 @@ def watch(
     if not bool(test.alarm(evidence)):
         return replace(after, set_aside=strange), None
     name, chance = named(chances)
-    clear = sum(chances[each] for each in SEARCHED) if name in SEARCHED else chance
+    alike = name in SEARCHED and not isinstance(pose_filter, IslandFilter)
+    clear = sum(chances[each] for each in SEARCHED) if alike else chance
     unclear = clear < _CLEAR or (repeated > _TELLS and name != "stuck hand")
     if unclear and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
         tells = bool((ratios.abs() > _TELLS).logical_and(ratios.isfinite()).any())
@@ -295,8 +297,13 @@ def _ratios(
     anywhere = float(found[MISFITS.index("none of these")])
     readings = [step.reading for step in steps]
     stuck = stuck_hand.told_by(readings, pose_filter.model, pose_filter.own, anywhere=anywhere)
-    if not follows(pose_filter):
-        return torch.cat((found, found.new_tensor([stuck.ratio]))), stuck.repeated
+    none = found[MISFITS.index("none of these") :]
+    if isinstance(pose_filter, IslandFilter):
+        assert isinstance(before, IslandBelief) and isinstance(after, IslandBelief)
+        told = island_faults.log_ratios(
+            before, after, record.reading, pose_filter, own, generator=generator, stuck=stuck
+        )
+        return torch.cat((told, none)), stuck.repeated
     assert before.trajectories is not None and after.trajectories is not None
     told = trajectory_faults.log_ratios(
         before.trajectories,
@@ -308,4 +315,4 @@ def _ratios(
         looks=(last.reading, record.reading) if looks_again else None,
         stuck=stuck,
     )
-    return torch.cat((told, found[MISFITS.index("none of these") :])), stuck.repeated
+    return torch.cat((told, none)), stuck.repeated

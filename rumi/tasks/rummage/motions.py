@@ -247,7 +247,8 @@ def trajectory_filter(
             settings = replace(settings, trajectories=replace(own, felt_m=pushed.round_m or 0.0))
         return PoseTrajectoryFilter(settings, discrepancy, pushed, prior)
     fresh_m = _FRESH_M if own.fresh_m is None else own.fresh_m
-    settings = replace(settings, trajectories=replace(own, fresh_m=fresh_m))
+    own = replace(own, fresh_m=fresh_m, false=max(own.false, simulator.pads.false))
+    settings = replace(settings, trajectories=own)
     if prior is None:
         raise UsageError(f"Expected a prior for --filter.motion trajectory in space, got none for {spec.name}")
     toppled = ToppledObject.of(
