@@ -34,7 +34,10 @@ ON_A_GPU = (
     "plans are made on the GPU, the belief is followed on the CPU; a planning pass took 12 to 16 ms on an NVIDIA H200, "
     "40 to 115 ms on one core beside it"
 )
-"""What holds of `--device cuda`."""
+"""What holds of `--device cuda` where plans are made by rollouts."""
+
+ON_THE_CPU = "the next touch is chosen and the belief followed on the CPU, so that a GPU has nothing to do"
+"""What holds of it where the next touch is chosen."""
 
 _SUSPICIOUS = 2.0  # nats of evidence of a fault from which on the progress line has them
 
@@ -115,7 +118,12 @@ class RummageTask(Rummaging):
             from rumi.tasks.rummage.build import faults_of
 
             faults_of(self.spec, settings)
-        notes = [ON_A_GPU] if settings.device == "cuda" else []
+        notes = []
+        if settings.device == "cuda":
+            from rumi.tasks.rummage.motions import planned
+
+            touches = settings.method == "rumi" and planned(self.spec, settings).next_touch
+            notes.append(ON_THE_CPU if touches else ON_A_GPU)
         if settings.object.mesh is None:
             return notes
         notes += [f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)"]

@@ -154,8 +154,12 @@ def test_device_and_dtype(monkeypatch):
         _ = preset(device="cuda").torch_device
     monkeypatch.setattr("sdf.gpu.available", lambda: True)
     assert preset(device="cuda").torch_device == torch.device("cuda")
-    assert any("followed on the CPU" in note for note in TASKS["mug-0"].check(preset(device="cuda")))
+    assert any("made on the GPU" in note for note in TASKS["mug-0"].check(preset(device="cuda")))
     assert not TASKS["mug-0"].check(preset())
+    box = preset(task="box", conditions="lab", device="cuda")  # the next touch is chosen
+    assert any("nothing to do" in note for note in TASKS["box"].check(box))
+    measured = replace(box, planner=replace(box.planner, next_touch=False))
+    assert any("made on the GPU" in note for note in TASKS["box"].check(measured))
 
 
 def test_a_replay_believes_by_the_push_model_of_its_run(monkeypatch):
