@@ -1,10 +1,11 @@
-"""Islands of a bootstrap filter: populations that never mix, whose even mixture is the belief.
+"""Islands of a bootstrap filter: populations that go on by themselves, whose even mixture is the belief.
 
 After a touch that several ways of lying explain a population keeps those that its few good draws happen to have, and
 forgets the others: it is sure of what another draw of the same numbers denies. Their estimates of the evidence differ
 by 5 to 20 nats where nothing but the draws does, so that weights by them would be noise, too. Populations with nothing
 in common show what the draws have decided: what they disagree on is not known (island particles of Verge, Dubarry, Del
-Moral and Moulines 2015, without their interaction).
+Moral and Moulines 2015, without their interaction). Where pushes go otherwise than the model has them a population may
+lose the truth; there they exchange a few particles.
 """
 
 import math
@@ -31,6 +32,8 @@ from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
 
+_EXCHANGED = 0.05  # share of what is soon toppled: pushes go otherwise than the model has them, and islands get lost
+
 
 @dataclass(frozen=True)
 class IslandBelief(PoseTrajectoryBelief):
@@ -56,7 +59,8 @@ class IslandFilter(BootstrapFilter):
     ) -> None:
         super().__init__(settings, discrepancy, model, prior, search)
         count = self.own.islands
-        self.own = replace(self.own, unseen_particles=max(1, self.own.unseen_particles // count))
+        exchanged = (_EXCHANGED if model.unsteady else 0.0) if self.own.exchanged is None else self.own.exchanged
+        self.own = replace(self.own, unseen_particles=max(1, self.own.unseen_particles // count), exchanged=exchanged)
         self.shown = max(1, SHOWN // count)
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> IslandBelief:
@@ -70,7 +74,7 @@ class IslandFilter(BootstrapFilter):
     ) -> tuple[IslandBelief, Observation, FilterInfo]:
         """One whole filter step of each; the points for planners ride with the first. Arguments as of `PoseFilter`."""
         after, infos, before = [], list[FilterInfo](), list(islands_of(belief))
-        if self.own.exchanged > 0 and bool(reading.in_contact.any()):
+        if self.own.exchanged and bool(reading.in_contact.any()):
             before = self._exchanged(before, lone(generator))
         none = memory[torch.zeros(0, dtype=torch.long)]
         kept = none
@@ -89,7 +93,7 @@ class IslandFilter(BootstrapFilter):
         found = []
         for place, (island, (now, log_weights)) in enumerate(zip(islands, parts, strict=True)):
             others = [part for at, part in enumerate(parts) if at != place and not part[0].apart]
-            each = int(self.own.exchanged * len(now) / max(1, len(others)))
+            each = int((self.own.exchanged or 0.0) * len(now) / max(1, len(others)))
             if now.apart or not others or not each:
                 found.append(island)
                 continue

@@ -25,6 +25,8 @@ from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.symmetry import Symmetries
 
+_UNSTEADY_RAD = 0.2  # of tilt about some edge, by which an object that falls over then is soon toppled
+
 
 @dataclass(frozen=True, eq=False)
 class ToppledObject:
@@ -105,6 +107,11 @@ class ToppledObject:
         """How far its surface is from its place sideways, and how low and how high, at most."""
         far = float(self.sdf.bounds.double().abs().amax(0).norm())
         return far, 0.0, far + float(self.rests.height_m.max())
+
+    @property
+    def unsteady(self) -> bool:
+        """Whether it is soon toppled, as it may stand at first."""
+        return float(self.rests.edges.tip_rad[: self.ways].min()) < _UNSTEADY_RAD
 
     def world_T_object(self, poses: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
         """Poses in space above the floor."""

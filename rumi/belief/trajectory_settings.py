@@ -45,9 +45,10 @@ class PoseTrajectorySettings:
         first_particles: N of the first touch, for which those of the view are drawn anew from start poses that were
             searched all round; 0 for no more than there are.
         unseen_particles: N of the bootstrap filter, where only a prior tells of the object at first.
-        islands: populations that share these particles and never mix.
+        islands: populations that share these particles.
         exchanged: share of each population that comes from the others before an action with contact, which then has to
-            explain it as well as those it came to.
+            explain it as well as those it came to. That brings back what one of them lost, and couples what they are
+            sure of. None: .05 of what is soon toppled, else 0.
         branches: motions drawn for each particle when a segment comes in.
         instants: of contact that make a segment.
         lag: pushed segments, from the last on, whose noise is still moved by itself.
@@ -127,7 +128,7 @@ class PoseTrajectorySettings:
     first_particles: int = 0
     unseen_particles: int = 12000
     islands: int = 3
-    exchanged: float = 0.05
+    exchanged: float | None = None
     branches: int = 6
     instants: int = 5
     lag: int = 10

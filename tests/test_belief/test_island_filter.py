@@ -10,9 +10,11 @@ from rumi.belief.bootstrap_filter import SHOWN, BootstrapFilter
 from rumi.belief.frictions import frictions_of
 from rumi.belief.island_filter import IslandBelief, IslandFilter, islands_of, mixture
 from rumi.belief.particles import PoseBelief
+from rumi.belief.prior import PosePrior
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.seeding import generator
 from sdf import se3
+from sdf.object_model import box_model
 from sensors.observation import Observation
 from tests.fixtures.box_in_space import begin, felt_by, follow, towards
 
@@ -84,6 +86,17 @@ def test_what_an_island_missed_comes_back_from_the_others_where_a_touch_tells(bo
         last = islands_of(belief)[2].every
         shares.append(float(((last.pose[:, :2] - torch.tensor([0.01, 0.005])).norm(dim=-1) < 0.015).double().mean()))
     assert shares[0] < 0.2 and shares[1] > 0.5
+
+
+def test_islands_exchange_particles_of_what_is_soon_toppled(box, prior):
+    """A box stands firmly on any of its sides, and a stick does not on its end."""
+    stick = box_model((0.02, 0.021, 0.2), spacing=0.003)
+    upright = PosePrior.of((0.0, 0.0), 0.02, stick.exact.bounds, ("z",))
+    asked = [make(IslandFilter, *one, 90, 3).own.exchanged for one in ((box, prior), (stick, upright))]
+    assert asked == [0.0, 0.0]  # what is asked for
+    firm, unsteady = (follow(*one, IslandFilter, exchanged=None) for one in ((box, prior), (stick, upright)))
+    assert not firm.model.unsteady and firm.own.exchanged == 0.0
+    assert unsteady.model.unsteady and unsteady.own.exchanged == 0.05
 
 
 def test_what_islands_disagree_on_is_not_known(box, prior):

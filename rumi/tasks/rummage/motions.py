@@ -39,7 +39,6 @@ _FIRST = 3000  # particles of a first touch
 # push model of plans of guarded moves in space, and what they weigh pushes and reach by
 _CARRIED, _PUSH_SCALE, _REACH_SCALE = "displacement", 1.0, 0.5
 _SHARPNESS = 300.0  # 1/m, of the sensor model that plans of guarded moves in space go by: as sharp as pads are
-_UNSTEADY_RAD = 0.2  # of tilt about some edge, by which an object that falls over then is soon toppled
 _FRESH_M = 0.003  # way of the tool in space after which its pads tell something new
 _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 
@@ -72,10 +71,8 @@ def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
 
 def unsteady(pose_filter: PoseFilter) -> bool:
     """Whether an object that is followed by touch alone is soon toppled, as it stands at first."""
-    if not isinstance(pose_filter, PoseTrajectoryFilter) or not isinstance(pose_filter.model, ToppledObject):
-        return False
-    model = pose_filter.model
-    return float(model.rests.edges.tip_rad[: model.ways].min()) < _UNSTEADY_RAD
+    model = pose_filter.model if isinstance(pose_filter, PoseTrajectoryFilter) else None
+    return isinstance(model, ToppledObject) and model.unsteady
 
 
 def planned(spec: TaskSpec, settings: Settings) -> RummagingSettings:
