@@ -112,21 +112,21 @@ def _densities(
     none, new = after.log_evidence - before.log_evidence, new_segments(before, after)
     if not new and (before.apart or not after.apart):  # nothing sensed, or a first touch that fits none
         return _Densities(none, faults, none)
-    follows = after
+    expected = after
     history = after.history.since(len(after.history) - new) if new else None
     if history is None:  # begun anew
         history = _history(before, log_weights, reading, pose_filter)
     gone, dead = without_feeling(history, pose_filter.own)
     unlikely = not new or (none < _UNLIKELY if felt else gone - none > _TELLS)
     if unlikely and not before.apart:
-        follows = predicted(before, log_weights, history, pose_filter, generator)
-        none = follows.log_evidence
+        expected = predicted(before, log_weights, history, pose_filter, generator)
+        none = expected.log_evidence
     faults |= {"absent": gone - none, "dead hand": dead - none}
     if before.apart:
         return _Densities(none, faults, none)
     as_stated = none
     if felt:
-        some = follows.at(systematic(torch.zeros(len(follows), dtype=torch.float64), 0.5, _ASKED))
+        some = expected.at(systematic(torch.zeros(len(expected), dtype=torch.float64), 0.5, _ASKED))
         unmet = unmet_instants(some, history, pose_filter.model)
         against = by_false_contacts(len(unmet), own, stated_false(history, pose_filter.own))
         faults |= {"false contacts": against, "second object": math.log1p(-FALSE)}

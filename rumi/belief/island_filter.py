@@ -59,8 +59,9 @@ class IslandFilter(BootstrapFilter):
     ) -> None:
         super().__init__(settings, discrepancy, model, prior, search)
         count = self.own.islands
-        exchanged = (_EXCHANGED if model.unsteady else 0.0) if self.own.exchanged is None else self.own.exchanged
-        self.own = replace(self.own, unseen_particles=max(1, self.own.unseen_particles // count), exchanged=exchanged)
+        self.own = replace(self.own, unseen_particles=max(1, self.own.unseen_particles // count))
+        usual = _EXCHANGED if model.unsteady else 0.0
+        self.exchanged = usual if self.own.exchanged is None else self.own.exchanged
         self.shown = max(1, SHOWN // count)
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> IslandBelief:
@@ -74,7 +75,7 @@ class IslandFilter(BootstrapFilter):
     ) -> tuple[IslandBelief, Observation, FilterInfo]:
         """One whole filter step of each; the points for planners ride with the first. Arguments as of `PoseFilter`."""
         after, infos, before = [], list[FilterInfo](), list(islands_of(belief))
-        if self.own.exchanged and bool(reading.in_contact.any()):
+        if self.exchanged > 0 and bool(reading.in_contact.any()):
             before = self._exchanged(before, lone(generator))
         none = memory[torch.zeros(0, dtype=torch.long)]
         kept = none
@@ -93,7 +94,7 @@ class IslandFilter(BootstrapFilter):
         found = []
         for place, (island, (now, log_weights)) in enumerate(zip(islands, parts, strict=True)):
             others = [part for at, part in enumerate(parts) if at != place and not part[0].apart]
-            each = int((self.own.exchanged or 0.0) * len(now) / max(1, len(others)))
+            each = int(self.exchanged * len(now) / max(1, len(others)))
             if now.apart or not others or not each:
                 found.append(island)
                 continue

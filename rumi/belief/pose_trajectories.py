@@ -36,7 +36,7 @@ class Trajectories:
         history: what was done and sensed.
         starts: (Q, 3 or 6), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
         apart: whether they stand too far apart for a touch: draws of a prior, or of where a jump may have led.
-        log_evidence: estimate of the log marginal likelihood of the readings since the start, in the plane.
+        log_evidence: estimate of the log marginal likelihood of the readings since the start.
         forgotten: segments before the history's first.
         first: prior of the start pose, where no view shows it; else start poses are even.
     """

@@ -24,7 +24,7 @@ from sensors.reading import Reading
 _STUCK = 0.99  # chance that the same points feel again, of a hand that is stuck
 _SAME, _OTHER = 1.0, 9.0  # pairs of a hand that is right which the run begins with: the same points, and others
 _APART_M = 0.002  # that they moved meanwhile: what stands still feels the same
-_COUNTED = 3  # pairs of one way that tell: a steady push may go on as it began, and is no alarm by itself
+_COUNTED = 3  # pairs of one push that tell: a steady one may go on as it began, and is no alarm by itself
 _TURNED = 0.5  # cosine between the ways of two actions below which the second is no more of the first's push
 
 

@@ -92,11 +92,11 @@ def test_islands_exchange_particles_of_what_is_soon_toppled(box, prior):
     """A box stands firmly on any of its sides, and a stick does not on its end."""
     stick = box_model((0.02, 0.021, 0.2), spacing=0.003)
     upright = PosePrior.of((0.0, 0.0), 0.02, stick.exact.bounds, ("z",))
-    asked = [make(IslandFilter, *one, 90, 3).own.exchanged for one in ((box, prior), (stick, upright))]
+    asked = [make(IslandFilter, *one, 90, 3).exchanged for one in ((box, prior), (stick, upright))]
     assert asked == [0.0, 0.0]  # what is asked for
     firm, unsteady = (follow(*one, IslandFilter, exchanged=None) for one in ((box, prior), (stick, upright)))
-    assert not firm.model.unsteady and firm.own.exchanged == 0.0
-    assert unsteady.model.unsteady and unsteady.own.exchanged == 0.05
+    assert not firm.model.unsteady and firm.exchanged == 0.0
+    assert unsteady.model.unsteady and unsteady.exchanged == 0.05
 
 
 def test_what_islands_disagree_on_is_not_known(box, prior):

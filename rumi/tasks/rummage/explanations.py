@@ -33,7 +33,7 @@ IN_SPACE: dict[str, float] = {
     "stuck hand": 0.05,
     "none of these": 0.1,
 }
-"""The same in space, where more particles stand for the motions that no push model has."""
+"""The same in space, where some particles jump as no push model has it."""
 
 _MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
 
