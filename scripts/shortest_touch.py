@@ -1,14 +1,14 @@
 """Greedily shortest way to a touch that tells, by someone who knows where the object truly is: a bound of planning.
 
 The tool keeps to a plane, and its way is the shortest on a lattice of its places round the object. Of the places where
-its pads would touch the object it goes to the nearest one whose touch raises the truth's log probability by at least
-half of what any touch would: by the surprisal of what the tool is to feel by the way. Where none tells anything it goes
-to the nearest. It knows the truth, which no robot does, and not how a push goes on.
+its pads would touch the object it goes to the nearest one whose touch, as the pose truly is, raises the log probability
+that the belief has near the truth by at least half of what any touch would. Where none tells anything it goes to the
+nearest. It knows the truth, which no robot does, and not how a push goes on.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from rumi.belief.particles import subsample
+from rumi.information.resolved_information import pose_kernel
 from rumi.planning.policy import Plan, PlanRequest
 from rumi.robot.tool import Tool
 from sdf import se3
@@ -26,6 +27,7 @@ from sdf.object_model import ObjectModel
 SPACING_M, OUTLINE_M = 0.01, 0.01  # of the tool's places, of its points
 NEAR_M, FINE_M = 0.002, 1e-4  # distance that counts as a touch; what it has to be deeper by than one that is there
 PARTICLES, RARE = 60, 0.02  # that stand for the belief; share of it that foresees even what none does
+POSITION_M, ROTATION_RAD, LEAST = 0.006, 0.12, 1e-3  # what is near the truth; share of the belief that always is
 TURNS = (-1.0, 0.0, 1.0)  # of the tool on its way, in parts of what one action may turn it
 SHARE, LEAST_NATS = 0.5, 0.1  # of what the best touch tells; what counts as telling
 FELT = 1  # places by which two first contacts on one way are the same
@@ -41,15 +43,24 @@ class _Lattice:
     free: Bool[np.ndarray, "V"]
 
     def straight(self, one: Float[Tensor, "3"], other: Float[Tensor, "3"]) -> bool:
-        """Whether the places between two are free."""
-        between = torch.lerp(one[:2], other[:2], torch.linspace(0.0, 1.0, 10)[1:-1, None].to(one))
+        """Whether the places between two are free; the last need not be."""
+        between = torch.lerp(one[:2], other[:2], torch.linspace(0.0, 1.0, 10)[1:, None].to(one))
         column, row = ((between - self.nodes[0]) / SPACING_M).round().long().unbind(-1)
-        return bool(self.free[(column * self.shape[1] + row).numpy()].all())
+        number = column * self.shape[1] + row
+        return bool((self.free[number.numpy()] | (number == number[-1]).numpy()).all())
 
 
 @dataclass(frozen=True)
 class _Touch:
-    """Touch at the end of a way: its surprisal, actions of the way, the way, its lattice and the way of an action."""
+    """Touch at the end of a way.
+
+    Attributes:
+        nats: that it adds to the log probability near the truth.
+        actions: of the way.
+        way: places on the lattice.
+        lattice: of the tool's places; None for a way of one place.
+        step_m: way of an action along an axis, at most.
+    """
 
     nats: float
     actions: int
@@ -80,16 +91,21 @@ class ShortestTouchPolicy:
 
     @torch.no_grad()
     def act(self, request: PlanRequest) -> Plan:
-        """The way there; see `rumi.planning.policy.Policy`."""
+        """The way there, which is gone on with until something is felt; see `rumi.planning.policy.Policy`."""
         scene, few = request.scene, subsample(request.belief, PARTICLES)
+        before, done = request.previous, request.executed
+        felt = scene.reading is not None and bool(scene.reading.in_contact.any())
+        if before is not None and done < len(before.controls) and not felt:
+            return replace(before, controls=before.controls[done:], path=before.path[done:])
         tool, like = scene.tool, scene.workspace.points
         here, poses = scene.configuration.to(like), few.world_T_object.to(like)
-        weights = few.log_weights.to(like).softmax(-1)
         all_poses = torch.cat((self.truth().to(like)[None], poses))
+        kernel = pose_kernel(all_poses, scene.model.symmetries, position_m=POSITION_M, rotation_rad=ROTATION_RAD)
+        weights, near = few.log_weights.to(like).softmax(-1), kernel[0, 1:]
         found = [
             touch
             for part in TURNS
-            for touch in _touches(tool, scene.model, here, part * float(tool.scale[2]), all_poses, weights)
+            for touch in _touches(tool, scene.model, here, part * float(tool.scale[2]), all_poses, weights, near)
         ]
         most = max((touch.nats for touch in found), default=0.0)
         telling = [touch for touch in found if touch.nats >= (SHARE * most if most > LEAST_NATS else 0.0)]
@@ -109,6 +125,7 @@ def _touches(
     turn: float,
     poses: Float[Tensor, "N1 4 4"],
     weights: Float[Tensor, "N"],
+    near: Float[Tensor, "N"],
 ) -> list[_Touch]:
     """Touches that the tool gets to with one turn.
 
@@ -119,6 +136,7 @@ def _touches(
         turn: of the tool on its way, rad.
         poses: the true one, then those of the belief.
         weights: of the latter.
+        near: how near these are to the true one, 1 for the same.
     """
     nodes, shape = _lattice(tool, here)
     places = torch.cat((nodes, (here[2] + turn).expand(len(nodes), 1)), -1)
@@ -140,9 +158,12 @@ def _touches(
         way = _back(before, start, int(end))
         told = felt[way]
         first = torch.where(told.any(0), told.byte().argmax(0), len(way) + FELT)
-        foreseen = float(weights @ ((first[1:] - first[0]).abs() <= FELT).to(weights))
+        left = weights * ((first[1:] - first[0]).abs() <= FELT)
+        share = float(left @ near) / max(float(left.sum()), RARE)
         actions = max(math.ceil(float(lengths[end]) * SPACING_M / step_m - 1e-6), 1)
-        found.append(_Touch(-math.log(max(foreseen, RARE)), actions, places[way], lattice, step_m))
+        found.append(
+            _Touch(math.log((share + LEAST) / (float(weights @ near) + LEAST)), actions, places[way], lattice, step_m)
+        )
     return found
 
 
