@@ -110,7 +110,7 @@ class ShortestTouchPolicy:
         most = max((touch.nats for touch in found), default=0.0)
         telling = [touch for touch in found if touch.nats >= (SHARE * most if most > LEAST_NATS else 0.0)]
         nearest = min(telling, key=lambda touch: (touch.actions, -touch.nats), default=_Touch(0.0, 0, here[None]))
-        places = nearest.places()
+        places = torch.cat((here[None], nearest.places()[1:]))  # it turns in the first action
         controls = torch.diff(places, dim=0) / tool.scale.to(like)
         if len(controls) == 0:
             controls = torch.zeros(1, 3).to(like)
