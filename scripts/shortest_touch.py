@@ -1,9 +1,10 @@
-"""Greedily shortest way to a touch that tells, by someone who knows where the object truly is: a bound of planning.
+"""Greedily shortest way to a touch that tells, by someone who knows where the object truly is.
 
 The tool keeps to a plane, and its way is the shortest on a lattice of its places round the object. Of the places where
 its pads would touch the object it goes to the nearest one whose touch, as the pose truly is, raises the log probability
 that the belief has near the truth by at least half of what any touch would. Where none tells anything it goes to the
-nearest. It knows the truth, which no robot does, and not how a push goes on.
+nearest. It knows the truth, which no robot does, and nothing of what a push does: where touches have to bring the
+object nearer it is no bound.
 """
 
 import math
