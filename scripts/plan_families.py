@@ -34,6 +34,7 @@ from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
 from scripts.outcomes import ended, right, won_lost, wrong
 from scripts.plan_judging import paired
+from scripts.plan_lattices import finer
 from scripts.plan_proposals import policy_of
 from scripts.reproduce.cells import rate, table
 from sdf import se3
@@ -190,8 +191,7 @@ def with_variant(parts: Parts[Any, Rummager], task: str, variant: str) -> Parts[
     own = policy_of(agent)
     if variant == "5 mm lattice":
         workspace = workspace_of(replace(find_task(task), field_spacing_m=0.005))
-        old = agent.tool
-        tool = Tool(old.bounds, old.reach, shape=old.shape, height_m=old.height_m, info_spacing_m=0.0025)
+        tool = finer(agent.tool, 0.0025)
         policy = RummagingPolicy(reachability(tool, workspace), own.settings)
         return replace(parts, agent=replace(agent, workspace=workspace, tool=tool, policy=policy))
     proposals = families_of(variant, agent)

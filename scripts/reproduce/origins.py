@@ -41,8 +41,10 @@ def origin(records: Sequence[Record]) -> str:
     groups = sorted(by_machine.items(), key=lambda item: len({record.column for record in item[1]}))
     made = []
     for k, (name, own) in enumerate(groups):
-        columns = "`, `".join(dict.fromkeys(record.column for record in own))
-        who = "" if len(groups) == 1 else "All else: " if k == len(groups) - 1 else f"`{columns}`: "
+        columns = list(dict.fromkeys(record.column for record in own))
+        apart = set(columns).isdisjoint(record.column for _, others in groups[:k] for record in others)
+        last = k == len(groups) - 1 and apart
+        who = "" if len(groups) == 1 else "All else: " if last else f"`{'`, `'.join(columns)}`: "
         commits = list(dict.fromkeys(record.commit for record in own))
         made.append(f"{who}commit{'s' if len(commits) > 1 else ''} {', '.join(commits)}; {name}")
     seeds = _ranges(sorted({record.seed for record in records}))

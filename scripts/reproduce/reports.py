@@ -37,7 +37,7 @@ nll within the threshold and the best pose within the task's tolerance of the tr
 paper's: nll within the threshold at any step. Rates with Wilson intervals (95 %). `paper as printed` has the paper's
 settings to the letter. The paper's own figures are of its simulator, ten runs each."""
 _READ = """The rows `paper as printed` have the paper's settings to the letter. The preset `paper` reads two of them
-otherwise, by which rumi finds 72 of 110 by the paper's count: [the readings](paper_readings.md)."""
+otherwise, by which rumi finds far more: [the readings](paper_readings.md)."""
 _SUMS = """Medians over the seeds of the nll summed over the steps, and the sum of the medians with its bootstrap
 interval. A run that stops adds nothing more, in ours as in the paper's; held to the last step, stopping early and
 wrong does not pay."""

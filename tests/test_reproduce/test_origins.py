@@ -22,6 +22,13 @@ def test_columns_of_another_processor_are_named(made):
     )
 
 
+def test_a_column_of_two_processors_is_named_with_both(made):
+    runs = [made("mug-0", method, 0, nll=(30.0, 10.0)) for method in ("rumi", "slide")]
+    said = origin([made("mug-0", "rumi", 1, nll=(30.0, 10.0), **NOW), *runs])
+    assert "`rumi/default`: commit fed" in said and "`rumi/default`, `slide/default`: commit abc" in said
+    assert "All else" not in said
+
+
 def test_conditions_are_the_tasks_or_those_asked_for(made):
     runs = [
         made("shelf-mug", "rumi", 0, nll=(30.0, 10.0)),
@@ -36,6 +43,7 @@ def test_conditions_are_the_tasks_or_those_asked_for(made):
 
 def test_a_machine_without_a_model_says_so():
     assert named_machine(NOW["machine"]) == NOW["machine"]
+    assert named_machine("x86_64, 2 cores, 1 threads") == "x86_64 of a model not recorded, 2 cores, 1 threads"
 
 
 def test_runs_of_before_the_preset_was_read_otherwise_say_so(made):

@@ -18,6 +18,9 @@ from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
 from sdf.symmetry import Symmetries
+from sensors.observation import Observation
+from sensors.reading import Reading
+from sensors.semantics import Semantics
 
 HEIGHT = 0.045
 BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
@@ -84,12 +87,27 @@ def test_it_lets_go_of_what_it_touches_and_goes_to_the_nearest_where_nothing_tel
 
 def test_it_goes_on_by_its_way_until_it_feels_something(mug):
     around = scene(mug, (0.2, 0.0, 0.0))
-    policy, believed = ShortestTouchPolicy(lambda: at(0.0)[0]), PoseBelief.uniform(at(0.0, 1.0))
+    asked: list[int] = []
+
+    def truth() -> Tensor:
+        asked.append(1)
+        return at(0.0)[0]
+
+    policy, believed = ShortestTouchPolicy(truth), PoseBelief.uniform(at(0.0, 1.0))
     first = policy.act(PlanRequest(believed, around))
     assert len(first.controls) > 1
     there = replace(around, configuration=first.path[1])
     rest = policy.act(PlanRequest(believed, there, first, executed=1))
     assert torch.equal(rest.controls, first.controls[1:]) and torch.equal(rest.path, first.path[1:])
+    here = there.configuration
+    nothing = Observation.of(torch.zeros(0, 3), Semantics.FREE)
+    for touched in (False, True):
+        felt = torch.tensor([touched])
+        none = torch.zeros(0, dtype=torch.long)
+        reading = Reading(nothing, none, there.tool.pose(here)[None], felt, None, here, torch.tensor(0.0))
+        asked.clear()
+        policy.act(PlanRequest(believed, replace(there, reading=reading), first, executed=1))
+        assert bool(asked) is touched  # only then is the truth looked at anew
     done = policy.act(PlanRequest(believed, there, first, executed=len(first.controls)))
     assert len(done.controls) > 0 and not torch.equal(done.path[0], first.path[0])
 

@@ -337,6 +337,7 @@ def _no_trajectory(settings: Settings) -> str | None:
     for flag, odd, fits in (
         ("simulator.sensors.kind", settings.simulator.sensors.kind != "points", "points"),
         ("filter.evidence", bool(settings.filter.evidence), "none"),
+        ("filter.free-points", settings.filter.free_points != "ride", "ride"),
     ):
         if odd:
             return f"Expected --{flag} {fits} with --filter.motion trajectory, which takes in no other"

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from rumi.errors import UsageError
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
-from rumi.tasks.rummage.motions import followed
+from rumi.tasks.rummage.motions import check_trajectory, followed
 from rumi.tasks.rummage.scenes import SCENES, find_task
 from rumi.tasks.rummage.settings import Settings, preset
 
@@ -44,6 +45,10 @@ def test_what_no_trajectory_takes_in_is_corrected():
     settings = without_sensor("mug")
     sensed = replace(settings.simulator, sensors=replace(settings.simulator.sensors, kind="bubbles"))
     assert followed(find_task("mug"), replace(settings, simulator=sensed)).motion == "corrected"
+    dropped = replace(settings, filter=replace(settings.filter, free_points="dropped"))
+    assert followed(find_task("mug"), dropped).motion == "corrected"
+    with pytest.raises(UsageError, match="free-points ride"):
+        check_trajectory(dropped)
 
 
 def test_where_plans_are_made_changes_nothing_of_the_belief():
