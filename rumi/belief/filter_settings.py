@@ -19,6 +19,8 @@ class FilterSettings(Checked):
         free_scale: C of free and occupied points (Eqs 4, 5), for the lattice `free_spacing_m`.
         tolerance_m: violation that a free or occupied point is allowed.
         free_spacing_m, surface_spacing_m: lattice that keeps one point a cell (Alg 6).
+        free_points: that were seen before "ride" with the object, which keeps them true, or are "dropped" as Alg 6 has
+            it: they stay where they are, and those inside a particle go at every step. Not of the motion "trajectory".
         motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it,
             "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way; with
             "trajectory" every particle has its own (`PoseTrajectoryFilter`).
@@ -54,6 +56,7 @@ class FilterSettings(Checked):
     tolerance_m: NotNegative = 0.001
     free_spacing_m: Positive = 0.005
     surface_spacing_m: Positive = 0.002
+    free_points: Literal["ride", "dropped"] = "ride"
     motion: Motion = "measured"
     unmeasured: Motion | None = None
     stated_errors: Literal["auto", "noise", "systematic"] = "auto"

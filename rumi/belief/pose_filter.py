@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from rumi.belief.filter_settings import FilterSettings
+from rumi.belief.free_points import possible, stationary
 from rumi.belief.motion import Predictor, object_motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
@@ -128,10 +129,13 @@ class PoseFilter(nn.Module):
         )
         frames = motion @ belief.world_T_attached[..., None, :, :]
         new = attach(reading.observation, reading.instant, frames)
-        memory, added = merge(memory, new, self.lattice)
         belief = replace(belief, evidence=gather(self.further, belief.evidence, reading, frames))
         before = belief
         belief, moved = self.predict(belief, motion[..., -1, :, :], generator=generator)
+        if settings.free_points == "dropped":
+            memory = possible(stationary(memory, before.world_T_attached), self.discrepancy.sdf, belief.world_T_object)
+            new = stationary(new, belief.world_T_attached)
+        memory, added = merge(memory, new, self.lattice)
         belief = self.weigh(belief, before, memory, added)
         trigger_belief = belief if settings.weigh_before_resampling else replace(belief, log_weights=before.log_weights)
         belief, resampled = self.resample(belief, trigger_belief, memory, generator=generator)
@@ -208,7 +212,7 @@ class PoseFilter(nn.Module):
         anew = (memory.valid & ~memory.attached).any(-1)
         if belief.attached_T_object is not before.attached_T_object:
             anew = anew | (belief.attached_T_object != before.attached_T_object).any(-1).any(-1).any(-1)
-        if belief.evidence is not None:
+        if belief.evidence is not None or self.settings.free_points == "dropped":
             anew = torch.ones_like(anew)
         with skipped_work.work("old_points") as work:
             if not bool(anew.any()):

@@ -138,6 +138,25 @@ def test_golden_merge_free_points_that_ride_keep_every_cost(golden):
     assert float(start.weights.max() - start.weights.min()) > 1e-3
 
 
+def test_golden_merge_free_points_that_stay_are_dropped_as_printed(golden):
+    case = golden("rumi.merge")
+    inputs, expected = case["inputs"], case["expected"]
+    old, motion = torch.tensor(inputs["W_T_O_old"], dtype=F64), torch.tensor(inputs["M"], dtype=F64)
+    free = torch.tensor(inputs["free"], dtype=F64)
+    module = Discrepancy(Sphere(inputs["sphere_radius"]).double(), inputs["sphere_radius"]).double()
+    settings = FilterSettings(trigger=1e9, free_points="dropped", **QUIET)
+    filter_ = PoseFilter(settings, [module], "SE(2)").double()
+    start, memory, _ = run(
+        filter_, PoseBelief.uniform(old), EMPTY, reading(Observation.of(free, Semantics.FREE)), reading(EMPTY)
+    )
+    assert len(memory) == sum(all(v > 0 for v in point) for point in zip(*expected["sdf_old"], strict=True))
+    assert float(start.weights.max() - start.weights.min()) < 1e-12  # what refuted a particle is gone a step later
+    start, memory, _ = run(filter_, PoseBelief.uniform(old), EMPTY, reading(Observation.of(free, Semantics.FREE)))
+    _, kept, _ = run(filter_, start, memory, reading(EMPTY, motion[None]))
+    assert not bool(kept.attached.any())
+    torch.testing.assert_close(kept.points, free[torch.tensor(expected["keep_printed"])])
+
+
 def test_world_fixed_points_are_weighed_anew_after_a_move():
     floor = Observation.of(torch.tensor([[0.45, 0.0, 0.1]], dtype=F64), Semantics.FREE, attached=False)
     start, memory, _ = run(make(), belief(1, truth=planar(0.3, 0.0, 0.0)), EMPTY, reading(floor))
