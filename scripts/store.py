@@ -56,8 +56,8 @@ class Store:
         self.lines.append(line)
 
     def flat(self) -> list[Line]:
-        """Settings and figures together."""
-        return [line["settings"] | line["figures"] if _nested(line) else line for line in self.lines]
+        """Settings and figures together, with commit and machine."""
+        return [_made_by(line) | line["settings"] | line["figures"] if _nested(line) else line for line in self.lines]
 
     def of(self, part: str) -> list[Line]:
         """Settings and figures together, of the lines of one part."""
@@ -150,6 +150,10 @@ def machine() -> str:
 
 def _nested(line: Line) -> bool:
     return isinstance(line.get("settings"), dict)
+
+
+def _made_by(line: Line) -> Line:
+    return {name: line[name] for name in ("commit", "machine") if name in line}
 
 
 def _key(settings: Settings) -> str:
