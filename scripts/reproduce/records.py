@@ -12,6 +12,8 @@ from scripts.reproduce.jobs import Job, column_name, identity, named
 from scripts.store import Line, Store, commit, machine
 
 SCHEMA = 1
+AS_PRINTED = ("7947043fb1d5", "57019228b80a", "ae9fa96ca06f")
+"""Code by which the preset `paper` had all numbers of Table IV as they are printed, of lines with a schema."""
 Key = tuple[str, str, str, str, tuple[str, ...], int]
 
 
@@ -28,6 +30,7 @@ class Record:
         code: hash of the code that made it.
         commit: of the checkout, with a + where files differed.
         machine: what it ran on.
+        as_printed: whether it is of the preset `paper` of before two of its numbers were read otherwise.
     """
 
     kind: str
@@ -43,6 +46,7 @@ class Record:
     code: str = ""
     commit: str = ""
     machine: str = ""
+    as_printed: bool = False
 
     @property
     def key(self) -> Key:
@@ -52,7 +56,12 @@ class Record:
     @property
     def column(self) -> str:
         """Method, preset and overrides, as tables show them."""
-        return column_name(self.method, self.preset, self.overrides)
+        return column_name(self.method, self.label, self.overrides)
+
+    @property
+    def label(self) -> str:
+        """The preset, as tables show it."""
+        return f"{self.preset} as printed" if self.as_printed else self.preset
 
 
 def key_of(job: Job) -> Key:
@@ -74,6 +83,7 @@ def record_of(line: dict[str, Any]) -> Record | None:
     described = {name: line[name] for name in _DESCRIBED}
     # the name of the work by the present code, where that is on record as the same
     about = {name: line[name] for name in _ABOUT} | {"id": identity(described)}
+    about["as_printed"] = line["preset"] == "paper" and line["code"] in AS_PRINTED
     return Record(**about | {"overrides": tuple(line["overrides"]), "figures": _figures(line["figures"])})
 
 
@@ -110,6 +120,7 @@ def _first_table(line: dict[str, Any]) -> Record:
         line["code"],
         line["commit"],
         line["machine"],
+        preset == "paper",
     )
 
 

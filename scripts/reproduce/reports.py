@@ -11,6 +11,7 @@ from scripts.reproduce import allocation, paper, studies, tables
 from scripts.reproduce.cells import NOTHING, flags, rate, table
 from scripts.reproduce.experiments import EXPERIMENTS, Selection
 from scripts.reproduce.jobs import Job, named
+from scripts.reproduce.origins import origin, present, provenance
 from scripts.reproduce.records import Record, by_column, key_of
 
 
@@ -33,9 +34,10 @@ class Report:
 
 _COUNTS = """Two counts of each method and task, as `right · paper's`. Right: at its own stop, or at the last action,
 nll within the threshold and the best pose within the task's tolerance of the truth, modulo the object's symmetry. The
-paper's: nll within the threshold at any step. Rates with Wilson intervals (95 %). The preset `paper` has the paper's
-settings; its runs in `runs.jsonl` are of before two of them were read otherwise than printed (reference/tasks.md). The
-paper's own figures are of its simulator, ten runs each."""
+paper's: nll within the threshold at any step. Rates with Wilson intervals (95 %). `paper as printed` has the paper's
+settings to the letter. The paper's own figures are of its simulator, ten runs each."""
+_READ = """The rows `paper as printed` have the paper's settings to the letter. The preset `paper` reads two of them
+otherwise, by which rumi finds 72 of 110 by the paper's count: [the readings](paper_readings.md)."""
 _SUMS = """Medians over the seeds of the nll summed over the steps, and the sum of the medians with its bootstrap
 interval. A run that stops adds nothing more, in ours as in the paper's; held to the last step, stopping early and
 wrong does not pay."""
@@ -83,7 +85,7 @@ def reports(
             continue  # of all experiments, those that the file holds nothing of
         kind = _REPORTS[name]
         drawn, said = ([], ()) if figures is None else kind.draw(_Asked(name, selection, own, figures, cache_dir))
-        text = [so_far(EXPERIMENTS[name](selection), own), *kind.text(own), *said]
+        text = [so_far(EXPERIMENTS[name](selection), own), origin(own), *kind.text(own), *said]
         found.append(Report(name, kind.title, _text(text), tuple(drawn)))
     return found
 
@@ -162,54 +164,20 @@ def summary(records: Sequence[Record]) -> str:
     return table(heads, rows)
 
 
-def provenance(records: Sequence[Record]) -> str:
-    """What the results were made by and with."""
-    parts = []
-    for kind in dict.fromkeys(record.kind for record in records):
-        own = [record for record in records if record.kind == kind]
-        seeds = sorted({record.seed for record in own})
-        by = {
-            name: ", ".join(sorted({getattr(record, name) for record in own})) for name in ("code", "commit", "machine")
-        }
-        parts.append(
-            f"- {len(own)} {_KINDS[kind]}, seeds {_ranges(seeds)}; "
-            f"code {by['code']}, commit {by['commit']}; {by['machine']}"
-        )
-    return "\n".join(parts) + "\n"
-
-
 def write_page(path: Path, found: Sequence[Report], records: Sequence[Record]) -> str:
     """Write a page of reports, and give the summary of it."""
     own = of_experiment("table5", Selection(seeds=tuple({record.seed for record in records})), records)
     short = summary(own)
     parts = ["# Results\n", "Written by `rumi reproduce --markdown` from recorded runs.\n", provenance(records)]
     if short:
-        parts += ["## Summary\n", short]
+        parts += ["## Summary\n", origin(own) + "\n", short]
+        parts += [_READ + "\n"] if any(record.as_printed for record in own) else []
     for report in found:
         pictures = "\n".join(f"![{report.title}]({os.path.relpath(p, path.parent)})\n" for p in report.figures)
         parts += [f"## {report.title}\n", report.text, pictures]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(part.rstrip("\n") + "\n" for part in parts if part.strip()), encoding="utf-8")
     return short
-
-
-_KINDS = {
-    "run": "runs",
-    "toy": "closed loops of the toy",
-    "peg": "runs of the peg task",
-    "peg-real": "runs of the peg task in real time",
-}
-
-
-def _ranges(numbers: Sequence[int]) -> str:
-    """0-3, 7 of 0, 1, 2, 3, 7."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
 @dataclass(frozen=True)
@@ -275,8 +243,8 @@ def _draw_fields(asked: _Asked) -> tuple[list[Path], Sequence[str]]:
     by_particles = asked.name == "fig5"
     make = pictures.information_by_particles if by_particles else pictures.planned_over
     fields = make(task, seed, asked.cache_dir)
-    what = f"The information field at the first view of {task}, seed {seed}:"
-    said = what if by_particles else f"At the first view of {task}, seed {seed}."
+    what = f"The information field at the first view of {task}, seed {seed} ({present()}):"
+    said = what if by_particles else f"At the first view of {task}, seed {seed} ({present()})."
     return pictures.draw_fields(fields, asked.figures / f"{asked.name}.png"), [said, "", pictures.field_table(fields)]
 
 

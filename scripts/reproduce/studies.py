@@ -25,8 +25,8 @@ def correlation(records: Sequence[Record]) -> str:
     """Table II: linear correlation of nll and APC over the steps of all methods' runs, by preset and task."""
     tasks = list(dict.fromkeys(record.task for record in records))
     rows = []
-    for preset in dict.fromkeys(record.preset for record in records):
-        own = [record for record in records if record.preset == preset]
+    for preset in dict.fromkeys(record.label for record in records):
+        own = [record for record in records if record.label == preset]
         methods = ", ".join(dict.fromkeys(record.method for record in own))
         for name, against in (("APC", "apc"), ("expected nll", "expected_nll")):
             cells = [_correlated(of_task(own, task), against) for task in tasks]

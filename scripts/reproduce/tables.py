@@ -115,7 +115,7 @@ def paired(records: Sequence[Record]) -> str:
     heads += ["the same, held to the last step"]
     rows = []
     for column, runs in columns.items():
-        own = column_name("rumi", runs[0].preset)
+        own = column_name("rumi", runs[0].label)
         other = own if own in columns and own != column else first
         if other is None or other == column:
             continue
