@@ -16,6 +16,7 @@ _KINDS = {
 }
 """What each kind of work is called."""
 _ASKED = "conditions="
+_APART = "Between these, code and processor differ beside what a row is about"
 
 
 def provenance(records: Sequence[Record]) -> str:
@@ -49,7 +50,7 @@ def origin(records: Sequence[Record]) -> str:
         commits = list(dict.fromkeys(record.commit for record in own))
         made.append(f"{who}commit{'s' if len(commits) > 1 else ''} {', '.join(commits)}; {name}")
     seeds = _ranges(sorted({record.seed for record in records}))
-    by = made[0][0].upper() + made[0][1:] if len(made) == 1 else ". ".join(made)
+    by = made[0][0].upper() + made[0][1:] if len(made) == 1 else ". ".join([*made, _APART])
     return ". ".join([*_scenes(records), f"Seeds {seeds}", by]) + "."
 
 

@@ -17,7 +17,8 @@ def test_columns_of_another_processor_are_named(made):
     said = origin([made("mug-0", "rumi", 0, nll=(30.0, 10.0), **NOW), *others])
     assert said.endswith(
         "`rumi/default`: commit fed; AMD EPYC x86_64, 2 cores. "
-        "All else: commit abc; x86_64 of a model not recorded, 2 cores."
+        "All else: commit abc; x86_64 of a model not recorded, 2 cores. "
+        "Between these, code and processor differ beside what a row is about."
     )
 
 
