@@ -25,18 +25,9 @@ def provenance(records: Sequence[Record]) -> str:
     for kind in dict.fromkeys(record.kind for record in records):
         own = [record for record in records if record.kind == kind]
         seeds = sorted({record.seed for record in own})
-        code, commits, machines = (
-            dict.fromkeys(sorted(names))
-            for names in (
-                [record.code for record in own],
-                [record.commit for record in own],
-                [named_machine(record.machine) for record in own],
-            )
-        )
-        parts.append(
-            f"- {len(own)} {_KINDS[kind]}, seeds {_ranges(seeds)}; code {', '.join(code)}, commit {', '.join(commits)}; "
-            f"{'; '.join(machines)}"
-        )
+        code, commits = (", ".join(sorted({getattr(record, name) for record in own})) for name in ("code", "commit"))
+        machines = "; ".join(sorted({named_machine(record.machine) for record in own}))
+        parts.append(f"- {len(own)} {_KINDS[kind]}, seeds {_ranges(seeds)}; code {code}, commit {commits}; {machines}")
     return "\n".join(parts) + "\n"
 
 
