@@ -194,13 +194,20 @@ def with_variant(parts: Parts[Any, Rummager], task: str, variant: str) -> Parts[
         tool = Tool(old.bounds, old.reach, shape=old.shape, height_m=old.height_m, info_spacing_m=0.0025)
         policy = RummagingPolicy(reachability(tool, workspace), own.settings)
         return replace(parts, agent=replace(agent, workspace=workspace, tool=tool, policy=policy))
-    names = {ALL: tuple(FAMILIES)}.get(variant, (variant,) if variant in FAMILIES else ())
-    if not names:
+    proposals = families_of(variant, agent)
+    if proposals is None:
         return parts
-    outline = GridOutline.of_slice(agent.model.sdf, agent.tool.height_m - agent.height_m)
-    proposals = Families(names, own.settings.mppi, outline)
     policy = RummagingPolicy(own.reachability, own.settings, proposals=proposals)
     return replace(parts, agent=replace(agent, policy=policy))
+
+
+def families_of(variant: str, agent: Rummager) -> Families | None:
+    """What a variant of plans starts from beside noise; None for nothing."""
+    names = tuple(FAMILIES) if variant == ALL else (variant,)
+    if names[0] not in FAMILIES:
+        return None
+    outline = GridOutline.of_slice(agent.model.sdf, agent.tool.height_m - agent.height_m)
+    return Families(names, policy_of(agent).settings.mppi, outline)
 
 
 def measure(task: str, variant: str, seed: int) -> dict[str, Any]:

@@ -4,7 +4,7 @@ python -m scripts.plan_lattices run
 python -m scripts.plan_lattices show
 
 A plan is searched for with 16 times the samples on the usual lattice of 10 mm, and judged on it, on the same one half a
-cell further along x and y, and on ones of 5 and 2.5 mm, the pads' points half a cell apart at most: all that the push
+cell further along x and y, and on ones of 5 and 2.5 mm, the pads' points half a cell apart at most: all that
 the displacement model looks up is on the lattice, and nothing of what the quasi-static one does. 2000 random plans say
 how alike two lattices judge, and how many of the first actions move the tool at all. Beliefs are those of recorded
 readings of mug-1 after its handle was felt (`scripts.bench.situations`), as they are and with the tool 20 mm farther
@@ -38,6 +38,7 @@ from scripts.bench.situations import situation
 from scripts.experiment import Experiment, Line
 from scripts.reproduce.cells import table
 from sdf.object_model import ObjectModel
+from sdf.voxel_grid import VoxelGrid
 
 LATTICES = {"10 mm": (0.010, 0.0), "10 mm, shifted": (0.010, 0.005), "5 mm": (0.005, 0.0), "2.5 mm": (0.0025, 0.0)}
 """Spacing and shift along x and y, metres."""
@@ -57,7 +58,7 @@ class Given(NamedTuple):
         task: whose bounds and arm they are.
         model: the object.
         tool: that plans.
-        belief: 100 particles.
+        belief: of where the object is.
         configuration: of the tool.
     """
 
@@ -111,8 +112,10 @@ class Judged(NamedTuple):
 
 
 @torch.no_grad()
-def judged(here: Given, push_model: str, lattice: str, controls: Float[Tensor, "K H 3"]) -> Judged:
-    """Parts of the planner's cost of control sequences."""
+def judged(
+    here: Given, push_model: str, lattice: str, controls: Float[Tensor, "K H 3"], rollouts: int | None = None
+) -> Judged:
+    """Parts of the planner's cost of control sequences, by as many rollouts as the model's default unless given."""
     own, belief = RummagingSettings(push_model=push_model), here.belief
     suited, workspace = own.suited(push_model), here.workspace(lattice)
     poses, log_weights = belief.world_T_object, belief.log_weights
@@ -121,23 +124,21 @@ def judged(here: Given, push_model: str, lattice: str, controls: Float[Tensor, "
     models = RummagingPolicy(None, replace(own, reachability_scale=0.0)).push_models
     model = models.rollouts(here.model, poses, log_weights, tool, workspace, fields)
     rolled = model.rollout(
-        here.configuration, controls, rollouts=suited.rollouts, generator=torch.Generator().manual_seed(0)
+        here.configuration, controls, rollouts=rollouts or suited.rollouts, generator=torch.Generator().manual_seed(0)
     )
     found, sensing = workspace.grid(fields.information), sensing_points(tool, fields.information)
     rest, total = without(found, tool.info_points(here.configuration)), float(found.values.sum())
     discount = own.information_discount
-    shares = [
-        -TrajectoryCost(of, None, sensing, reachability_scale=0.0, information_discount=own.information_discount)(
-            rolled
-        )
-        * (float(of.values.sum()) / total)
-        for of in (found, rest)
-    ]
+
+    def share(of: VoxelGrid) -> Float[Tensor, "K"]:
+        cost = TrajectoryCost(of, None, sensing, reachability_scale=0.0, information_discount=discount)
+        return cost(rolled) * (-float(of.values.sum()) / total)
+
     reach = workspace.grid(reachability(tool, workspace))
     scale = suited.reachability_scale
     kept = -TrajectoryCost(found, reach, sensing, information_scale=0.0, reachability_scale=scale)(rolled)
     moved = torch.diff(rolled.configurations[..., :2, :], dim=-2)[..., 0, :].norm(dim=-1) > 1e-6
-    return Judged(*shares, kept, moved.float().mean(-1))
+    return Judged(share(found), share(rest), kept, moved.float().mean(-1))
 
 
 def finer(tool: Tool, spacing_m: float) -> Tool:
@@ -161,9 +162,8 @@ def measure(belief: str, push_model: str, seed: int) -> dict[str, Any]:
     """What a plan, standing still and random plans promise on each lattice."""
     here, planner = given(belief, seed), MPPI(RummagingSettings().mppi, 3)
     plan = searched(here, push_model, USUAL, seed)
-    noise = planner.settings.noise_variance**0.5 * torch.randn(
-        RANDOM, planner.parameterization.knots, 3, generator=torch.Generator().manual_seed(seed)
-    )
+    random = torch.Generator().manual_seed(seed)
+    noise = planner.noise_variance.sqrt() * torch.randn(RANDOM, planner.parameterization.knots, 3, generator=random)
     every = torch.cat((torch.zeros_like(plan)[None], plan[None], planner.from_knots(noise).controls))
     found = {lattice: judged(here, push_model, lattice, every) for lattice in LATTICES}
     worth = {lattice: of.information + of.reach for lattice, of in found.items()}

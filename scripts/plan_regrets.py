@@ -1,0 +1,80 @@
+"""What plans from families of motions lose of the best that is known, judged more finely than they are made.
+
+python -m scripts.plan_regrets run        # seeds 1300-1319
+python -m scripts.plan_regrets show
+
+One belief of a run of `mug` under `lab` for each seed, with the plan before it, from which every variant of
+`scripts.plan_families` plans. Plans are judged by 32 rollouts on a lattice of 2.5 mm. The best that is known is the
+best of all of these plans and of two that 8 times the samples and 10 iterations find, with all families and without.
+Regret is the share of its gain over standing still that a plan lacks.
+"""
+
+import statistics
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from rumi.cli import script
+from rumi.planning.rummaging import RummagingPolicy
+from scripts.experiment import Experiment, Line
+from scripts.plan_families import ALL, FAMILIES, families_of
+from scripts.plan_judging import moments, paired, parts, planned
+from scripts.plan_lattices import Given, judged
+from scripts.plan_proposals import policy_of
+from scripts.reproduce.cells import table
+from scripts.store import clock
+
+NAMES = ("as it is", *FAMILIES, ALL)
+LARGE = ("large", "large, all three")
+JUDGES, FINE = 32, "2.5 mm"
+TIMES, ITERATIONS = 8, 10
+
+
+def measure(seed: int) -> dict[str, Any]:
+    """Fine cost of each variant's plan, of the two large searches' and of standing still, and their seconds."""
+    task, agent = parts(500, 2, 10)
+    found = list(moments(task, agent, seed))
+    moment = found[7 * seed % len(found)]
+    own = policy_of(agent)
+    many = replace(own.settings.mppi, samples=TIMES * own.settings.mppi.samples)
+    many = replace(many, iterations=ITERATIONS, warmup_iterations=ITERATIONS)
+    plans, seconds = {"still": torch.zeros(own.settings.mppi.horizon, 3)}, {}
+    for name in (*NAMES, *LARGE):
+        families = ALL if name == LARGE[1] else name
+        settings = replace(own.settings, mppi=many) if name in LARGE else own.settings
+        policy = RummagingPolicy(own.reachability, settings, proposals=families_of(families, agent))
+        policy.push_models = own.push_models
+        begun = clock()
+        plans[name] = planned(agent, policy, moment, warm=True).controls
+        seconds[name] = clock() - begun
+    here = Given("mug", agent.model, agent.tool, moment.belief, moment.configuration)
+    fine = judged(here, "quasi-static", FINE, torch.stack(list(plans.values())), JUDGES)
+    worth = dict(zip(plans, (fine.information + fine.reach).tolist(), strict=True))
+    return {"step": moment.step, "of": len(found), "worth": worth, "seconds": seconds}
+
+
+def regrets(line: Line) -> dict[str, float]:
+    """Regret of each variant."""
+    worth = line["worth"]
+    best = max(worth.values())
+    return {name: (best - worth[name]) / (best - worth["still"]) for name in (*NAMES, *LARGE)}
+
+
+def show(lines: list[Line], chosen: object) -> str:
+    """A row for each variant, paired by belief with plans as they are."""
+    each, rows = [regrets(line) for line in lines], []
+    for name in (*NAMES, *LARGE) if each else ():
+        own = [one[name] for one in each]
+        error = statistics.stdev(own) / len(own) ** 0.5 if len(own) > 1 else float("nan")
+        more = [one[name] - one[NAMES[0]] for one in each]
+        told = "" if name == NAMES[0] else "{mean:+.3f} [{low:+.3f}, {high:+.3f}]".format(**paired(more))
+        ms = 1e3 * statistics.mean(line["seconds"][name] for line in lines)
+        rows.append([name, str(len(own)), f"{statistics.mean(own):.3f} +- {error:.3f}", told, f"{ms:.0f}"])
+    return table(("plans", "beliefs", "regret, standard error", "more than as it is", "ms"), rows)
+
+
+EXPERIMENT = Experiment(__doc__, "plan_regrets.jsonl", {}, measure, show, seeds="1300-1319")
+
+if __name__ == "__main__":
+    script(EXPERIMENT.main)
