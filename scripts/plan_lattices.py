@@ -190,9 +190,9 @@ def show(lines: list[Line], chosen: Mapping[str, Any]) -> str:
             some, usual = ([line for line in own if line["times"] == times] for times in TIMES)
             if some:
                 rows.append([model, belief, str(len(some)), *_row(some), _means(usual, "gain") if usual else ""])
-    heads = ("model", "belief", "seeds", "gain on 10; 10 shifted; 5; 2.5 mm", "of it information", "alike to 10 mm")
-    heads += ("first actions that move", "standing still: information; without the pads' cells")
-    return table((*heads, "gain by the usual samples"), rows)
+    heads = ["model", "belief", "seeds", "gain on 10; 10 shifted; 5; 2.5 mm", "of it information", "alike to 10 mm"]
+    heads += ["first actions that move", "standing still: information; without the pads' cells"]
+    return table([*heads, "gain by the usual samples"], rows)
 
 
 def _row(some: list[Line]) -> list[str]:

@@ -133,8 +133,10 @@ def test_tables_are_paired() -> None:
     lines += [run | {"variant": "straight", "seed": seed, "steps": 9 + seed} for seed in (1, 2, 3)]
     own, other = plan_families.show(lines, {}).splitlines()[2:]
     assert own.split(" | ")[4] == "9.00" and other.split(" | ")[5].startswith("+1.50")
-    worth = {"still": 0.0, "as it is": 0.5, **dict.fromkeys(FAMILIES, 0.75), "all three": 1.0, "large": 0.9}
-    worth["large, all three"] = 0.8
+    worth = dict.fromkeys(("still", *plan_regrets.NAMES, *plan_regrets.LARGE), 0.75)
+    worth |= {"still": 0.0, "as it is": 0.5, "all three": 1.0}
     line = {"seed": 1, "step": 0, "of": 3, "worth": worth, "seconds": dict.fromkeys(worth, 0.1)}
     assert plan_regrets.regrets(line)["as it is"] == 0.5 and plan_regrets.regrets(line)["all three"] == 0.0
-    assert "| straight | 2 | 0.250 +- 0.000 | -0.250 [-0.250, -0.250] | 100 |" in plan_regrets.show([line, line], {})
+    assert "| straight | 2 | 0.250 +- 0.000 | -0.250 [-0.250, -0.250] | 2 | 100 |" in plan_regrets.show(
+        [line, line], {}
+    )
