@@ -10,6 +10,7 @@ and without. Regret is the share of its gain over standing still that a plan lac
 """
 
 import statistics
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -56,26 +57,34 @@ def measure(seed: int) -> dict[str, Any]:
     return {"step": moment.step, "of": len(found), "worth": worth, "seconds": seconds}
 
 
-def regrets(line: Line) -> dict[str, float]:
-    """Regret of each variant."""
+def left(line: Line, name: str) -> tuple[float, float]:
+    """What a variant's plan lacks of the best that is known, and what that gains over standing still."""
     worth = line["worth"]
     best = max(worth.values())
-    return {name: (best - worth[name]) / (best - worth["still"]) for name in (*NAMES, *LARGE)}
+    return best - worth[name], best - worth["still"]
+
+
+def regrets(lines: Sequence[Line], name: str) -> list[float]:
+    """Regret of a variant by belief."""
+    return [lacks / gain for lacks, gain in (left(line, name) for line in lines)]
 
 
 def show(lines: list[Line], chosen: object) -> str:
     """A row for each variant, paired by belief with plans as they are, from the plan before or from noise."""
-    each, rows = [regrets(line) for line in lines], []
-    for name in (*NAMES, *LARGE) if each else ():
-        own = [one[name] for one in each]
+    rows = []
+    for name in (*NAMES, *LARGE) if lines else ():
+        own = regrets(lines, name)
         error = statistics.stdev(own) / len(own) ** 0.5 if len(own) > 1 else float("nan")
         other = AS_IT_IS + NOISE * name.endswith(NOISE)
-        more = [one[name] - one[other] for one in each]
-        told = "" if name == other else "{mean:+.3f} [{low:+.3f}, {high:+.3f}]".format(**paired(more))
+        more = [a - b for a, b in zip(own, regrets(lines, other), strict=True)]
+        told = "" if name == other else "{mean:+.2f} [{low:+.2f}, {high:+.2f}]".format(**paired(more))
+        lacks, gain = (sum(part) for part in zip(*(left(line, name) for line in lines), strict=True))
         ms = 1e3 * statistics.mean(line["seconds"][name] for line in lines)
         others = "" if name == other else str(sum(value != 0.0 for value in more))
-        rows.append([name, str(len(own)), f"{statistics.mean(own):.3f} +- {error:.3f}", told, others, f"{ms:.0f}"])
-    return table(("plans", "beliefs", "regret, standard error", "more than as it is", "other plans", "ms"), rows)
+        cells = (f"{statistics.mean(own):.2f} +- {error:.2f}", f"{statistics.median(own):.2f}", f"{lacks / gain:.2f}")
+        rows.append([name, str(len(own)), *cells, told, others, f"{ms:.0f}"])
+    heads = ("plans", "beliefs", "regret, standard error", "median", "of all gains together", "more than as it is")
+    return table((*heads, "other plans", "ms"), rows)
 
 
 EXPERIMENT = Experiment(__doc__, "plan_regrets.jsonl", {}, measure, show, seeds="1300-1319")
