@@ -22,6 +22,19 @@ REPRODUCED = {
     "touch": ("touch-table1", "--settings.filter.lever-m", str(1.22 * 0.0447), str(2.45 * 0.0447)),
 }
 
+PAGES = SHOWN.parents[2] / "scripts" / "docs" / "results"
+HELD = {
+    "conditions": "conditions",
+    "localize_table": "localize",
+    "long_pushes": "push_models",
+    "open3d_table": "cameras",
+    "plan_regrets": "choosing",
+    "sensor_table": "cameras",
+    "slack_curve": "slack",
+    "torque_rates": "forces",
+}
+"""Pages that hold a table of these as it is."""
+
 
 def experiment(name):
     module = pytest.importorskip(f"scripts.{name}", exc_type=ImportError)
@@ -38,6 +51,11 @@ def test_the_tables_of_what_is_on_record(path, capsys, at_home):
     else:
         _, made = experiment(path.stem)
         assert made.show(RESULTS / made.results) == path.read_text()
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_pages_hold_the_tables_of_what_is_on_record(name):
+    assert (SHOWN / f"{name}.md").read_text().strip() in (PAGES / f"{HELD[name]}.md").read_text()
 
 
 @pytest.fixture
