@@ -38,6 +38,7 @@ from scripts.plan_lattices import finer
 from scripts.plan_proposals import policy_of
 from scripts.reproduce.cells import rate, table
 from sdf import se3
+from sdf.so3 import wrap
 
 TARGETS, BEYOND_M = 12, (0.02, 0.08)  # of straight ways, and how far past its target one goes
 TURNS = (0.6, 1.2, 1.8, 2.4)  # radians round the object, either way
@@ -57,7 +58,7 @@ def knots_of(planner: MPPI, tool: Tool, start: Float[Tensor, "3"], ways: Waypoin
 def controls_of(tool: Tool, start: Float[Tensor, "3"], way: Float[Tensor, "W 3"], horizon: int) -> Tensor:
     """Controls (H, 3) along waypoints (x, y, yaw), as many as there are actions for; the tool rests at the last."""
     legs = torch.diff(torch.cat((start[None], way)), dim=0)
-    legs = torch.cat((legs[:, :2], torch.remainder(legs[:, 2:] + math.pi, 2.0 * math.pi) - math.pi), -1) / tool.scale
+    legs = torch.cat((legs[:, :2], wrap(legs[:, 2:])), -1) / tool.scale
     actions = [leg.expand(count, 3) / count for leg in legs if (count := math.ceil(float(leg.abs().max()))) > 0]
     return torch.cat((*actions, start.new_zeros(horizon, 3)))[:horizon]
 

@@ -24,6 +24,7 @@ from rumi.planning.policy import Plan, PlanRequest
 from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel
+from sdf.posed import posed_distance
 
 SPACING_M, OUTLINE_M = 0.01, 0.01  # of the tool's places, of its points
 NEAR_M, FINE_M = 0.002, 1e-4  # distance that counts as a touch; what it has to be deeper by than one that is there
@@ -109,14 +110,14 @@ class ShortestTouchPolicy:
             for touch in _touches(tool, scene.model, here, part * float(tool.scale[2]), all_poses, weights, near)
         ]
         most = max((touch.nats for touch in found), default=0.0)
-        telling = [touch for touch in found if touch.nats >= (SHARE * most if most > LEAST_NATS else 0.0)]
+        telling = [touch for touch in found if touch.nats >= (SHARE * most if most > LEAST_NATS else -math.inf)]
         nearest = min(telling, key=lambda touch: (touch.actions, -touch.nats), default=_Touch(0.0, 0, here[None]))
         places = torch.cat((here[None], nearest.places()[1:]))  # it turns in the first action
-        controls = torch.diff(places, dim=0) / tool.scale.to(like)
+        controls = (torch.diff(places, dim=0) / tool.scale.to(like)).clamp(-1.0, 1.0)
         if len(controls) == 0:
             controls = torch.zeros(1, 3).to(like)
         ends = tool.free_path(here, controls, 1)
-        return Plan(controls.clamp(-1.0, 1.0), torch.cat((here[None], ends)), info={"nats": nearest.nats})
+        return Plan(controls, torch.cat((here[None], ends)), info={"nats": nearest.nats})
 
 
 def _touches(
@@ -190,17 +191,11 @@ def _distances(
     places: Float[Tensor, "V 3"],
     poses: Float[Tensor, "N 4 4"],
 ) -> Float[Tensor, "V N"]:
-    """Distance of points of the tool at each place from the object at each pose, metres; infinite where it is far."""
+    """Distance of points of the tool at each place from the object at each pose, metres."""
     level = torch.cat((outline, torch.zeros(len(outline), 1)), -1).to(places)
     points = se3.apply(tool.pose(places), level.expand(len(places), -1, 3))
-    apart = torch.full((len(places), len(poses)), math.inf).to(places)
-    reach = float(level.norm(dim=-1).max() + model.surface_points.norm(dim=-1).max()) + NEAR_M
-    for column, pose in enumerate(poses):
-        near = ((places[:, :2] - pose[:2, 3]).norm(dim=-1) < reach).nonzero()[:, 0]
-        if len(near) > 0:
-            inside = se3.apply(se3.inverse(pose), points[near].reshape(-1, 3))
-            apart[near, column] = model.sdf.distance(inside).reshape(len(near), -1).amin(-1)
-    return apart
+    apart = posed_distance(model.sdf, poses, points.reshape(-1, 3))
+    return apart.reshape(len(poses), len(places), -1).amin(-1).T
 
 
 def _shortest(

@@ -112,6 +112,15 @@ def test_it_goes_on_by_its_way_until_it_feels_something(mug):
     assert len(done.controls) > 0 and not torch.equal(done.path[0], first.path[0])
 
 
+def test_it_goes_to_the_nearest_even_where_touches_would_mislead(mug, monkeypatch):
+    around, way = scene(mug, (0.2, 0.0, 0.0)), torch.tensor([[0.2, 0.0, 0.0], [0.21, 0.0, 0.0]])
+    free = _Lattice(torch.tensor([[0.2, 0.0], [0.21, 0.0]]), (2, 1), np.ones(2, dtype=bool))
+    near, far = (shortest_touch._Touch(nats, n, way[: n + 1], free, 0.08) for nats, n in ((-0.5, 1), (-0.1, 2)))
+    monkeypatch.setattr(shortest_touch, "_touches", lambda *arguments: [far, near])
+    plan = ShortestTouchPolicy(lambda: at(0.0)[0]).act(PlanRequest(PoseBelief.uniform(at(0.0)), around))
+    assert plan.info["nats"] == -0.5 and plan.path[-1].tolist() == pytest.approx(way[-1].tolist())
+
+
 def test_it_stays_where_it_cannot_go(mug):
     around = scene(mug, (0.0, 0.0, 0.0))
     held = Tool(torch.tensor([[0.0, 0.0], [0.0, 0.0]]), height_m=HEIGHT)
