@@ -19,8 +19,7 @@ import math
 import statistics
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
-from unittest.mock import patch
+from typing import Any, cast
 
 import torch
 
@@ -28,7 +27,10 @@ from rumi import loop
 from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.records import StepRecord
+from rumi.tasks.registry import TASKS as REGISTERED
+from rumi.tasks.registry import TaskEntry
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.entry import RummageTask
 from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.scenes import SCENES, find_task
 from rumi.tasks.rummage.settings import Settings, preset
@@ -103,7 +105,12 @@ def half_as_far(spec: TaskSpec) -> TaskSpec:
         raise ValueError(f"Expected a task with a camera, got {spec.name}")
     there = (*spec.start[:2], spec.camera.target[2])
     x, y, z = ((eye + end) / 2.0 for eye, end in zip(spec.camera.position, there, strict=True))
-    return replace(spec, camera=replace(spec.camera, position=(x, y, z), target=there))
+    camera = replace(spec.camera, position=(x, y, z), target=there)
+    return replace(spec, name=f"{spec.name}-near", camera=camera)
+
+
+for _spec in (half_as_far(SCENES[task]) for task in TASKS if SCENES[task].camera is not None):
+    REGISTERED.add(_spec.name, cast(TaskEntry[Any], RummageTask(_spec)))
 
 
 def settings_of(reading: str, **changes: Any) -> Settings:  # noqa: ANN401  (values of the settings)
@@ -115,11 +122,8 @@ def settings_of(reading: str, **changes: Any) -> Settings:  # noqa: ANN401  (val
 def measure(task: str, reading: str, seed: int) -> dict[str, Any]:
     """One run's nll, its APC over the diagonal, how far the belief is off in yaw, how often it was resampled."""
     steps: list[StepRecord] = []
-    scenes = {task: half_as_far(SCENES[task])} if "camera" in parts_of(reading) else {}
-    with (
-        patch.dict(SCENES, scenes),
-        build(settings_of(reading, task=task, seed=seed), cache_dir=cache_folder()) as (world, agent),
-    ):
+    scene = half_as_far(find_task(task)).name if "camera" in parts_of(reading) else task
+    with build(settings_of(reading, task=scene, seed=seed), cache_dir=cache_folder()) as (world, agent):
         result = loop.run(world, agent, seed=seed, on_step=steps.append)
         diagonal = float(agent.model.diagonal)
     return {

@@ -157,6 +157,20 @@ def test_golden_merge_free_points_that_stay_are_dropped_as_printed(golden):
     torch.testing.assert_close(kept.points, free[torch.tensor(expected["keep_printed"])])
 
 
+def test_a_free_point_stays_where_it_is_once_the_action_that_saw_it_is_over():
+    """Seen before the object moves by 60 mm it goes along until then, and no more in the next action."""
+    module = Discrepancy(Sphere(0.02).double(), 0.02).double()
+    filter_ = PoseFilter(FilterSettings(trigger=1e9, free_points="dropped", **QUIET), [module], "SE(2)").double()
+    seen = Observation.of(torch.tensor([[0.1, 0.0, 0.0]], dtype=F64), Semantics.FREE)
+    pushed = torch.stack([planar(0.0, 0.0, 0.0), planar(0.06, 0.0, 0.0)])
+    early = replace(reading(seen, pushed), instant=torch.zeros(1, dtype=torch.long))
+    start, memory, _ = run(filter_, PoseBelief.uniform(planar(0.0, 0.0, 0.0)[None]), EMPTY, early)
+    _, kept, _ = run(filter_, start, memory, reading(EMPTY, pushed[1:]))
+    for found in (memory, kept):
+        assert not bool(found.attached.any())
+        torch.testing.assert_close(found.points, torch.tensor([[0.16, 0.0, 0.0]], dtype=F64))
+
+
 def test_world_fixed_points_are_weighed_anew_after_a_move():
     floor = Observation.of(torch.tensor([[0.45, 0.0, 0.1]], dtype=F64), Semantics.FREE, attached=False)
     start, memory, _ = run(make(), belief(1, truth=planar(0.3, 0.0, 0.0)), EMPTY, reading(floor))
