@@ -28,13 +28,11 @@ from rumi.planning.policy import PlanRequest
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.robot.tool import Tool
 from rumi.tasks.rummage.agent import Rummager
-from rumi.tasks.rummage.build import build, reachability, workspace_of
-from rumi.tasks.rummage.scenes import find_task
+from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
 from scripts.outcomes import ended, right, won_lost, wrong
 from scripts.plan_judging import paired
-from scripts.plan_lattices import finer
 from scripts.plan_proposals import policy_of
 from scripts.reproduce.cells import rate, table
 from sdf import se3
@@ -174,7 +172,7 @@ class Families:
         return knots_of(self.planner, scene.tool, scene.configuration, ways)
 
 
-VARIANTS = ("as it is", "sensed left out", "5 mm lattice", *FAMILIES, ALL)
+VARIANTS = ("as it is", "sensed left out", *FAMILIES, ALL)
 TASKS = ("mug", "mug-0", "mug-1", "mug-2")
 
 
@@ -186,15 +184,10 @@ def settings_of(task: str, variant: str, seed: int) -> Settings:
     return own
 
 
-def with_variant(parts: Parts[Any, Rummager], task: str, variant: str) -> Parts[Any, Rummager]:
+def with_variant(parts: Parts[Any, Rummager], variant: str) -> Parts[Any, Rummager]:
     """Parts whose policy plans as a variant says, as far as settings do not say it."""
     agent = parts.agent
     own = policy_of(agent)
-    if variant == "5 mm lattice":
-        workspace = workspace_of(replace(find_task(task), field_spacing_m=0.005))
-        tool = finer(agent.tool, 0.0025)
-        policy = RummagingPolicy(reachability(tool, workspace), own.settings)
-        return replace(parts, agent=replace(agent, workspace=workspace, tool=tool, policy=policy))
     proposals = families_of(variant, agent)
     if proposals is None:
         return parts
@@ -215,7 +208,7 @@ def measure(task: str, variant: str, seed: int) -> dict[str, Any]:
     """How a run ended."""
     begun = time.process_time()
     with build(settings_of(task, variant, seed), cache_dir=cache_folder()) as parts:
-        found = ended(with_variant(parts, task, variant), seed, more=("steps", "contacts"))
+        found = ended(with_variant(parts, variant), seed, more=("steps", "contacts"))
     return found | {"cpu_s": round(time.process_time() - begun, 2)}
 
 

@@ -91,9 +91,8 @@ def test_each_family_gives_knots_of_plans_that_touch(agent: Rummager, request_of
 def test_variants_that_are_no_families(own: Parts[Task, Rummager], agent: Rummager) -> None:
     assert families_of("as it is", agent) is None
     assert plan_families.settings_of("mug", "sensed left out", 0).planner.sensed_here
-    assert with_variant(own, "mug", "as it is") is own
-    finer = with_variant(own, "mug", "5 mm lattice").agent
-    assert finer.workspace.spacing == 0.005 and len(finer.tool.info) > len(agent.tool.info)
+    assert with_variant(own, "as it is") is own
+    assert isinstance(policy_of(with_variant(own, "all three").agent).proposals, Families)
 
 
 @pytest.mark.usefixtures("at_home")
