@@ -36,7 +36,7 @@ def scene_of(task, push_model, cache):
 
     Few samples: how many launches a pass is does not hang on their number.
     """
-    settings = preset("default", task=task, seed=1000)
+    settings = preset("default", task=task, seed=1000, **{"filter.motion": "measured"})  # whose plans are by rollouts
     parts = build(settings, cache_dir=cache)
     parts.task.close()
     own, planner = parts.agent, settings.planner

@@ -107,14 +107,13 @@ def test_no_camera_no_eye():
 
 
 @pytest.mark.usefixtures("at_home")
-def test_actions_are_guarded_where_nothing_measures_how_the_object_is_pushed(all_in_reach):
-    guards = {"lab": "always", "ideal": "never"}
-    for task, conditions in itertools.product(("mug", "box"), guards):
-        settings = preset(task=task, conditions=conditions)
+def test_actions_are_guarded_where_each_particle_has_its_own_motion(all_in_reach):
+    for task, conditions, motion in itertools.product(("mug", "box"), ("lab", "ideal"), ("auto", "measured")):
+        settings = preset(task=task, conditions=conditions, **{"filter.motion": motion})
+        own = conditions == "lab" or (task == "box" and motion == "auto")  # else it is measured
         with build(settings, cache_dir=all_in_reach) as (world, agent):
-            assert world.settings.guarded == guards[conditions]
-            # plans know of it in space
-            known = task == "box" and conditions == "lab"
+            assert world.settings.guarded == ("always" if own else "never")
+            known = task == "box" and own  # plans know of it in space
             planner = planned(find_task(task), settings)
             assert isinstance(agent.policy, NextTouchPolicy if known else RummagingPolicy)
             assert planner.push.guarded == known and bool(planner.sensed_here) == known
@@ -151,9 +150,11 @@ def test_guarded_moves_need_pads_that_feel_points(cache):
 
 def test_runs_on_record_keep_what_their_errors_counted_as():
     made = to_dict(preset(task="mug"))
-    del made["filter"]["stated_errors"], made["filter"]["trajectories"]["exchanged"]
+    del made["filter"]["stated_errors"], made["filter"]["motion"]
+    del made["filter"]["trajectories"]["exchanged"]
     before = from_dict(made | {"made_with": {}}).filter
-    assert before.stated_errors == "noise" and before.trajectories.exchanged == 0.0
+    assert before.stated_errors == "noise" and before.motion == "measured"
+    assert before.trajectories.exchanged == 0.0
     assert from_dict(made).filter.stated_errors == "auto"
 
 

@@ -86,10 +86,16 @@ def test_double_precision_keeps_its_type():
 
 
 @pytest.mark.sim
-def test_a_run_in_space_does_so_where_nothing_measures_the_motion(all_in_reach):
-    own = rumi.preset("fast", task="drill-0", conditions="ideal")
-    for known, asked, expected in ((True, None, 0.0), (False, None, 0.04), (False, 0.0, 0.0), (True, 0.03, 0.03)):
-        tried = replace(own, approach_m=asked, simulator=replace(own.simulator, measures_motion=known))
+def test_a_run_in_space_does_so_where_the_motion_is_no_command(all_in_reach):
+    for motion, measured, asked, expected in (
+        ("measured", True, None, 0.0),
+        ("measured", False, None, 0.04),
+        ("auto", True, None, 0.04),
+        ("auto", False, 0.0, 0.0),
+        ("measured", True, 0.03, 0.03),
+    ):
+        own = rumi.preset("fast", task="drill-0", conditions="ideal", **{"filter.motion": motion})
+        tried = replace(own, approach_m=asked, simulator=replace(own.simulator, measures_motion=measured))
         with build(tried, cache_dir=all_in_reach) as (_, agent):
             assert agent.approach_m == expected
 
@@ -111,7 +117,9 @@ def test_a_run_carries_out_the_shortened_control(approach_m, part, all_in_reach,
     ("task", "careful"), [("drill", True), ("box", False), ("drawn-shelf-box", False), ("mug", False)]
 )
 def test_only_what_is_soon_toppled_is_approached_with_care(task, careful, all_in_reach):
-    with build(rumi.preset("fast", task=task, conditions="lab"), cache_dir=all_in_reach) as (_, agent):
-        assert (agent.approach_m > 0, agent.retreats) == (careful, careful)
-    with build(rumi.preset("fast", task=task, conditions="ideal"), cache_dir=all_in_reach) as (_, agent):
+    for conditions in ("lab", "ideal"):
+        with build(rumi.preset("fast", task=task, conditions=conditions), cache_dir=all_in_reach) as (_, agent):
+            assert (agent.approach_m > 0, agent.retreats) == (careful, careful)
+    told = rumi.preset("fast", task=task, conditions="ideal", **{"filter.motion": "measured"})
+    with build(told, cache_dir=all_in_reach) as (_, agent):
         assert (agent.approach_m, agent.retreats) == (0.0, False)

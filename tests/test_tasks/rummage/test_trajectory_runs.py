@@ -39,11 +39,16 @@ def test_objects_in_space_are_followed_from_their_prior(task, all_in_reach):
 
 
 @pytest.mark.parametrize(
-    ("task", "measures", "rule", "taken"),
-    [("drill-0", False, "auto", "probability"), ("drill-0", True, "auto", "auto"), ("drill-0", False, "self", "self")],
+    ("motion", "measures", "rule", "taken"),
+    [
+        ("auto", False, "auto", "probability"),
+        ("auto", True, "auto", "probability"),
+        ("measured", True, "auto", "auto"),
+        ("auto", False, "self", "self"),
+    ],
 )
-def test_the_rule_that_suits_is_that_of_the_probability_in_space(task, measures, rule, taken, all_in_reach):
-    own = rumi.preset("fast", task=task, seed=1000, conditions="ideal")
+def test_the_rule_that_suits_is_that_of_the_probability_in_space(motion, measures, rule, taken, all_in_reach):
+    own = rumi.preset("fast", task="drill-0", seed=1000, conditions="ideal", **{"filter.motion": motion})
     own = replace(own, stop=replace(own.stop, rule=rule), simulator=replace(own.simulator, measures_motion=measures))
     with build(own, cache_dir=all_in_reach) as (_, agent):
         assert agent.stop_rule.rule == taken
