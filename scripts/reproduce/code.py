@@ -28,7 +28,6 @@ ROOTS: dict[str, tuple[str, ...]] = {
     "torques": ("rumi.sim.torque_arm",),
     "vision": ("sensors.vision.cloud", "sensors.touch.bubble", "scripts.bench.known_scenes"),
     "mesh": ("sdf.mesh.build",),
-    "open3d": ("sensors.vision.cloud", "scripts.bench.known_scenes"),
 }
 """Modules that the results of each kind of work depend on, with all that they import."""
 

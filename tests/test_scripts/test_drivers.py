@@ -27,7 +27,6 @@ HELD = {
     "conditions": "conditions",
     "localize_table": "localize",
     "long_pushes": "push_models",
-    "open3d_table": "cameras",
     "plan_regrets": "choosing",
     "sensor_table": "cameras",
     "slack_curve": "slack",
