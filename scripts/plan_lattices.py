@@ -13,7 +13,7 @@ from the mug, and of runs of the mugs after the first touch and before the last 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from jaxtyping import Float
@@ -29,14 +29,18 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.objective import TrajectoryCost, sensing_points, without
 from rumi.planning.policy import PlanRequest, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.resampling import systematic
+from rumi.robot.reach import Reach
+from rumi.robot.reach_table import ReachSettings
 from rumi.robot.tool import Tool
 from rumi.tasks.rummage.build import build, reachability
+from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import preset
-from scripts.bench.plans import PlanBench
-from scripts.bench.situations import situation
+from scripts.bench.situations import follow, situation
 from scripts.experiment import Experiment, Line
 from scripts.reproduce.cells import table
+from sdf.grid_sdf import GridSDF
 from sdf.object_model import ObjectModel
 from sdf.voxel_grid import VoxelGrid
 
@@ -79,12 +83,13 @@ class Given(NamedTuple):
 def given(belief: str, seed: int) -> Given:
     """The belief of a name."""
     if belief in (RECORDED, BACKED):
-        bench = PlanBench(situation("mug-1", "handle"), seed)
-        poses, here = bench.fewer(100), bench.here.readings[-1].configuration
+        recorded = situation("mug-1", "handle")
+        model, here = recorded.spec.object_factory(), recorded.readings[-1].configuration
+        poses = evenly(follow(recorded, cast(GridSDF, model.sdf), particles=1000, seed=seed).belief, 100)
         if belief == BACKED:
             away = here[:2] - poses.weights @ poses.world_T_object[:, :2, 3]
             here = torch.cat((here[:2] + 0.02 * away / away.norm(), here[2:]))
-        return Given("mug-1", bench.model, bench.tool(), poses, here)
+        return Given("mug-1", model, tool_of(recorded.spec), poses, here)
     task, when = belief.split(", ")
     with build(preset(task=task, conditions="ideal"), cache_dir=cache_folder()) as (world, agent):
         state = agent.begin(world.reset(seed), seed=seed, clock=Clock())
@@ -93,6 +98,23 @@ def given(belief: str, seed: int) -> Given:
             before, state = state, agent.update(state, control, world.step(control))
         record = (state if when == WHEN[0] else before).record
         return Given(task, agent.model, agent.tool, record.belief, record.reading.configuration)
+
+
+def evenly(belief: PoseBelief, count: int) -> PoseBelief:
+    """The belief with fewer particles, evenly by weight."""
+    index = systematic(belief.log_weights, 0.5, count)
+    return replace(
+        belief,
+        attached_T_object=belief.attached_T_object[index],
+        log_weights=torch.log_softmax(belief.log_weights.new_zeros(count), -1),
+        discrepancy=belief.discrepancy[index],
+    )
+
+
+def tool_of(spec: TaskSpec) -> Tool:
+    """The task's tool, its information points 5 mm apart."""
+    reach = Reach.of_arm(spec.base, ReachSettings(height_m=spec.height_m), cache_dir=cache_folder())
+    return Tool(torch.tensor(spec.bounds), reach, height_m=spec.height_m, info_spacing_m=0.005)
 
 
 class Judged(NamedTuple):

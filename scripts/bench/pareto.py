@@ -1,4 +1,4 @@
-"""Run time against error: beliefs, fields, plans and whole runs over the settings that their cost depends on."""
+"""Run time against error: beliefs, fields and whole runs over the settings that their cost depends on."""
 
 import logging
 from collections.abc import Iterator
@@ -7,18 +7,15 @@ from pathlib import Path
 
 from scripts.bench.boxes import measure_boxes
 from scripts.bench.estimates import Bench, measure_estimates, time_estimates
-from scripts.bench.plans import PlanBench, measure_plans, time_plans
 from scripts.bench.runs import measure_runs
 from scripts.bench.situations import situation
 from scripts.store import Store
 
 _logger = logging.getLogger(__name__)
-SITUATIONS = (("mug-1", "view"), ("mug-1", "handle"), ("mug-2", "handle"))
-ESTIMATES_AT = SITUATIONS[:2]
+SITUATIONS = (("mug-1", "view"), ("mug-1", "handle"))
 BELIEF_SEEDS = (1000, 1001)
 CHAINS_AT = TIMED_AT = ("mug-1", "handle")
 _QUICK, _ENOUGH = 0.05, 0.01
-PLAN_SEEDS = (1000, 1001, 1002, 1003)
 
 
 def run(*, quick: bool, out: Path, jsonl: Path | None = None) -> None:
@@ -42,13 +39,8 @@ def measure(store: Store, folder: Path, *, quick: bool) -> Iterator[bool]:
     """Do what is missing, one measurement at a time; gives whether each was missing."""
     many = 1 if quick else None
     for place in SITUATIONS[:many]:
-        here = situation(*place)
-        if place in ESTIMATES_AT:
-            yield from measure_estimates(
-                store, Bench(here, folder, _QUICK if quick else _ENOUGH), BELIEF_SEEDS[:many], quick=quick
-            )
-        for seed in PLAN_SEEDS[:many]:
-            yield from measure_plans(store, PlanBench(here, seed), quick=quick)
+        here = Bench(situation(*place), folder, _QUICK if quick else _ENOUGH)
+        yield from measure_estimates(store, here, BELIEF_SEEDS[:many], quick=quick)
     yield from measure_boxes(store, situation(*CHAINS_AT), folder, quick=quick)
     yield from measure_runs(store, quick=quick)
 
@@ -57,4 +49,3 @@ def measure_times(store: Store, folder: Path, *, quick: bool) -> Iterator[bool]:
     """Take the times that are missing, of one situation: a minute or three, with nothing else on the machine."""
     here = situation(*(SITUATIONS[0] if quick else TIMED_AT))
     yield from time_estimates(store, Bench(here, folder, _QUICK if quick else _ENOUGH), BELIEF_SEEDS[0], quick=quick)
-    yield from time_plans(store, PlanBench(here, PLAN_SEEDS[0]), quick=quick)

@@ -2,7 +2,7 @@
 
 import statistics
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Row = dict[str, Any]
-_WHERE = {"part", "situation", "points", "seed", "threads"}  # what does not make another setting
+_WHERE = {"part", "situation", "points", "seed", "threads", "commit", "machine"}  # what does not make another setting
 _MARKS = {"default": "*", "fast": "D", "paper": "P"}
 
 
@@ -26,13 +26,11 @@ class Dot(NamedTuple):
         settings: what tells it from others.
         seconds: that it takes.
         error: mean over situations and seeds.
-        standard_error: of that mean.
     """
 
     settings: Row
     seconds: float
     error: float
-    standard_error: float = 0.0
 
 
 def draw(store: Store, out: Path) -> list[Path]:
@@ -47,11 +45,10 @@ def draw(store: Store, out: Path) -> list[Path]:
     """
     out.mkdir(parents=True, exist_ok=True)
     path = out / "pareto.png"
-    with style.figure(11.0, 7.2) as made:
-        (fields, shares), (plans, runs) = made.subplots(2, 2)
+    with style.figure(15.0, 3.8) as made:
+        fields, shares, runs = made.subplots(1, 3)
         _fields(field_dots(store), fields)
         _beliefs(store, shares)
-        _plans(plan_dots(store), plans)
         _runs(store.of("run"), runs)
         made.savefig(path)
     return [path]
@@ -68,42 +65,17 @@ def front(dots: Iterable[Dot]) -> list[Dot]:
 
 def field_dots(store: Store) -> list[Dot]:
     """Mean error of the information, nats, of the filter's fields."""
-    return _joined(store.of("field"), store.of("field-time"), "seconds", lambda row: row["information_mean"])
-
-
-def plan_dots(store: Store) -> list[Dot]:
-    """Share of what the best plan gains over standing still that a first plan loses."""
-    beliefs: dict[tuple[str, int], tuple[float, float]] = {}
-    for row in store.of("best-plan"):
-        beliefs[(row["situation"], row["seed"])] = row["least"], row["still"]
-    plans = [row for row in store.of("plan") if (row["situation"], row["seed"]) in beliefs]
-    for row in plans:  # a plan may beat the search for the best one
-        least, still = beliefs[(row["situation"], row["seed"])]
-        beliefs[(row["situation"], row["seed"])] = min(least, row["cost"]), still
-
-    def lost(row: Row) -> float:
-        least, still = beliefs[(row["situation"], row["seed"])]
-        return (row["cost"] - least) / (still - least)
-
-    return _joined(plans, store.of("plan-time"), "pass_s", lost)
-
-
-def _joined(rows: Sequence[Row], timed: Sequence[Row], clock: str, error: Callable[[Row], float]) -> list[Dot]:
-    """Settings that have both errors and a time."""
-    names = [n for n in timed[0] if n not in _WHERE and not n.endswith(("_s", "seconds"))] if timed else []
-    seconds = {tuple(row[n] for n in names): row[clock] for row in timed}
+    rows, timed = store.of("field"), store.of("field-time")
+    names = [n for n in timed[0] if n not in _WHERE and not n.endswith("seconds")] if timed else []
+    seconds = {tuple(row[n] for n in names): row["seconds"] for row in timed}
     errors: dict[tuple[Any, ...], list[float]] = defaultdict(list)
     for row in rows:
-        errors[tuple(row[n] for n in names)].append(error(row))
+        errors[tuple(row[n] for n in names)].append(row["information_mean"])
     return [
-        Dot(dict(zip(names, key, strict=True)), seconds[key], statistics.fmean(values), _standard_error(values))
+        Dot(dict(zip(names, key, strict=True)), seconds[key], statistics.fmean(values))
         for key, values in errors.items()
         if key in seconds
     ]
-
-
-def _standard_error(values: Sequence[float]) -> float:
-    return statistics.stdev(values) / len(values) ** 0.5 if len(values) > 1 else 0.0
 
 
 def _of_preset(name: str, dot: Dot) -> bool:
@@ -111,23 +83,13 @@ def _of_preset(name: str, dot: Dot) -> bool:
     settings, own = preset(name), dot.settings
     values = {
         "particles": settings.initialise.particles,
-        "samples": settings.planner.mppi.samples,
-        "rollouts": settings.planner.suited("displacement").rollouts,
-        "mini_steps": settings.planner.push.mini_steps,
-        "warmup_iterations": settings.planner.mppi.warmup_iterations,
-        "iterations": settings.planner.mppi.iterations,
-        "starts": settings.initialise.starts,
-        "polished": settings.initialise.polished,
         "lattice_m": 0.010,
         "sdf_m": 0.002,
         "look_up": "trilinear",
         "precision": settings.dtype,
         "source": "filter",
     }
-    plans = "samples" in own
-    same = all(own[n] == values[n] for n in own if n in values and (plans or n not in ("starts", "polished")))
-    # another objective: its plans are not judged by this one
-    return same and not (plans and name == "paper")
+    return all(own[n] == values[n] for n in own if n in values)
 
 
 def _scatter(dots: Sequence[Dot], ax: "Axes", colour: str, label: str) -> None:
@@ -201,28 +163,6 @@ def _beliefs(store: Store, ax: "Axes") -> None:
         ax.set_ylim(0, 1)
         ax.grid(color=style.FAINT, lw=0.6)
         ax.legend(loc="best", fontsize=7)
-
-
-def _plans(dots: Sequence[Dot], ax: "Axes") -> None:
-    ax.set_title("plan")
-    ax.set_xlabel("time of a planning pass, one thread [ms]")
-    ax.set_ylabel("share of the best plan's gain that is lost")
-    if not dots:
-        return
-    bars = [d.standard_error for d in dots]
-    ax.errorbar([1e3 * d.seconds for d in dots], [d.error for d in dots], bars, fmt="none", color=style.FAINT, zorder=0)
-    groups = {
-        "fewer or more rollouts": lambda s: s["samples"] == 500 and s["rollouts"] != 5,
-        "fewer or more samples": lambda s: s["samples"] != 500 and s["rollouts"] == 5,
-        "both": lambda s: s["samples"] != 500 and s["rollouts"] != 5,
-    }
-    left = list(dots)
-    for (words, chosen), colour in zip(groups.items(), (style.NLL, style.EXPECTED, style.APC), strict=True):
-        some = [d for d in left if chosen(d.settings)]
-        left = [d for d in left if not chosen(d.settings)]
-        _scatter(some, ax, colour, words)
-    _scatter(left, ax, style.QUIET, "other settings")
-    _finish(dots, ax)
 
 
 def _runs(rows: Sequence[Row], ax: "Axes") -> None:

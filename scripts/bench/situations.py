@@ -34,13 +34,8 @@ _CONTROLS = {
         .87 .02 -.44   -.06 .96 .73   -1 1 -.48   -.22 -.23 .85   1 -.92 -1   .46 .32 .13   .17 .96 .98   -.68 .26 1
         1 -.44 -1
     """,
-    "mug-2": """
-        -1 -.84 -1   .22 .3 -.45   1 1 -.19   1 .78 1   .93 -.42 .07   1 -1 -.05   1 .97 .91   1 .08 .24   .99 -.97 -.77
-        .21 -1 -1   -.89 -1 -.09   -1 -1 .43   .21 -.1 1   -.18 .12 -.74   .12 .55 -1   .47 1 .87   1 .42 -.34
-        1 -.58 -1   -1 -1 .06   .96 .99 .71
-    """,
 }
-STAGES = {"mug-1": {"view": 0, "touch": 12, "handle": 16, "sure": 18}, "mug-2": {"view": 0, "handle": 20}}
+STAGES = {"mug-1": {"view": 0, "touch": 12, "handle": 16, "sure": 18}}
 """Actions done at each stage: after the first view, after touches of the wall, after two or more of the handle."""
 
 

@@ -7,7 +7,6 @@ from scripts.bench import pareto_figures
 from scripts.bench.estimates import Estimate
 from scripts.bench.nearest import NearestGrid
 from scripts.bench.pareto_figures import Dot, draw, front
-from scripts.bench.plans import PlanSettings
 from scripts.store import Store
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Sphere
@@ -48,15 +47,6 @@ def fill(store):
         store.measure({"part": "field-time", **where, **own}, lambda s=seconds: {"seconds": s, "plain_seconds": s})
         shares = {"total_variation": 0.5, "total_variation_yaw": 0.1}
         store.measure({"part": "belief", **where, "seed": 1000, **own}, lambda f=shares: f)
-    for seed, least in ((1000, -2.0), (1001, -1.5)):
-        about = {"situation": "mug-1/view", "seed": seed}
-        store.measure({"part": "best-plan", **about}, lambda c=least: {"least": c, "still": -1.0})
-        for samples, cost in ((50, -1.1), (500, -1.6)):
-            own = vars(PlanSettings(samples=samples))
-            store.measure({"part": "plan", **about, **own}, lambda c=cost: {"cost": c})
-    for samples, seconds in ((50, 0.01), (500, 0.1)):
-        own = vars(PlanSettings(samples=samples))
-        store.measure({"part": "plan-time", **where, **own}, lambda s=seconds: {"first_s": s, "pass_s": s})
     run = {"task": "mug-0", "preset": "default", "seed": 1000, "steps": None}
     store.measure({"part": "run", **run}, lambda: {"right": True, "actions": 10, "seconds": 3.0, "processor_s": 2.5})
 
@@ -68,10 +58,6 @@ def test_errors_and_times_are_brought_together(tmp_path):
     assert fields[100].error == pytest.approx(0.01)
     assert fields[1000].seconds == 0.05
     assert [dot.settings["particles"] for dot in front(fields.values())] == [30, 100]
-    plans = {dot.settings["samples"]: dot for dot in pareto_figures.plan_dots(store)}
-    # the second belief's best plan is one of those that were compared
-    assert plans[50].error == pytest.approx(0.5 * (0.9 + 0.5 / 0.6))
-    assert plans[500].error == pytest.approx(0.5 * (0.4 + 0.0))
 
 
 def test_figures_are_drawn_of_much_and_of_nothing(tmp_path):

@@ -49,7 +49,7 @@ def test_a_quick_study_from_end_to_end(tmp_path):
     pareto.run(quick=True, out=tmp_path)
     store = pareto.Store(tmp_path / "pareto.jsonl")
     parts = {line["settings"]["part"] for line in store.lines}
-    assert parts >= {"belief", "field", "plan", "best-plan", "run", "chains", "box-belief", "plan-time", "field-time"}
+    assert parts >= {"belief", "field", "run", "chains", "box-belief", "field-time"}
     assert (tmp_path / "pareto.png").stat().st_size > 10_000
     numbers = [value for line in store.lines for value in line["figures"].values() if isinstance(value, float)]
     assert all(map(math.isfinite, numbers))
