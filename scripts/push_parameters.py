@@ -61,7 +61,7 @@ TASKS = tuple(task for tasks in GROUPS.values() for task in tasks)
 def settings_of(choice: str, task: str, seed: int, folder: Path) -> Settings:
     """Settings of a run; the mesh of a first-day object is written into a folder."""
     if task in (*MUGS, *SPATIAL):
-        own = preset(task=task, seed=seed, conditions="ideal")
+        own = preset(task=task, seed=seed, conditions="ideal", **{"filter.motion": "measured"})
     else:
         motion = "trajectory" if task.endswith(NO_SENSOR) else "measured"
         own = first_day_settings(task.removesuffix(NO_SENSOR), motion, seed, folder)

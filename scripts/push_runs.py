@@ -33,7 +33,7 @@ SAMPLES, HORIZON, KNOTS, ROLLOUTS = 20, 6, 4, 2
 def settings_of(model: str, task: str, seed: int) -> Settings | None:
     """Settings of a run; None where the model cannot push what the task has."""
     name, _, few = model.partition(", ")
-    own, spec = preset(task=task, seed=seed), find_task(task)
+    own, spec = preset(task=task, seed=seed, **{"filter.motion": "measured"}), find_task(task)
     if name == "quasi-static" and spec.spatial:
         return None
     planner = replace(own.planner, push_model=name)

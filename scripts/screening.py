@@ -41,7 +41,8 @@ DRAWS, STEPS = 2, 14
 def measure(task: str, seed: int) -> dict[str, Any]:
     """Losses by variant, gains, and the CPU time of plans."""
     asked: list[PlanRequest] = []
-    with build(preset(task=task, seed=seed, steps=STEPS), cache_dir=cache_folder()) as (world, agent):
+    run = preset(task=task, seed=seed, steps=STEPS, **{"filter.motion": "measured"})  # plans by rollouts in space, too
+    with build(run, cache_dir=cache_folder()) as (world, agent):
         policy: Any = agent.policy
         act = policy.act
 
