@@ -40,7 +40,7 @@ class StepRecord:
         lost: evidence against "no fault so far", nats (`rumi.belief.change_test`).
         p_value: of the reading under the belief, an upper bound: the inverse of its own evidence for any fault.
         explanations: probability of "no fault" and of each fault (`rumi.tasks.rummage.lost`); those of the last alarm
-            from it on; none where nothing is asked.
+            from it on, at the end those of a last word; none where nothing is asked.
     """
 
     step: int

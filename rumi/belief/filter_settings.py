@@ -24,7 +24,8 @@ class FilterSettings(Checked):
         motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it,
             "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way; with
             "trajectory" every particle has its own (`PoseTrajectoryFilter`), of which a measured one is evidence.
-            "auto", of tasks, is "trajectory" in space where a prior is followed by touches, else "measured".
+            "auto", of tasks, is "trajectory" in space where a prior is followed by touches that pads feel as points,
+            else "measured".
         unmeasured: what "measured" and "auto" become where nothing measures the motion; "pushed" and "corrected" are
             for upright objects and a level tool, and "estimated" elsewhere. None for what suits: "trajectory" where a
             view or a prior is followed by touches alone, else "corrected", in space "estimated".

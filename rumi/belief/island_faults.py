@@ -49,8 +49,8 @@ else is felt where the object is not; the hand feels the same all the time."""
 _TELLS = 1.0  # nats: that silence is unlikely by from which on it is asked about; of a hand that repeats itself
 _UNLIKELY = -12.0  # nats of an action with contact; at the true poses hardly any is below (results/push_models.md)
 _AS_FELT = -2.0  # nats of a knock by an action with contact that is likely without one; -3 in the median
-_ASKED_FIRST, _FEW = 1000, 0.05  # the same at a first touch, and share of them that may have one where it is false
 _ASKED, _TRACKS = 100, 24  # particles of a population that are asked where they have a surface, and which points tell
+_ASKED_FIRST, _FEW = 1000, 0.05  # the same at a first touch, and share of them that may have one where it is false
 
 
 class _Densities(NamedTuple):
@@ -185,6 +185,8 @@ def _first_touch_of_nothing(
     model, sensed = pose_filter.model, pose_filter.own
     poses = before.pose[systematic(log_weights, 0.5, min(_ASKED_FIRST, len(before)))]
     points = reading.observation.points[reading.observation.of_class(Semantics.SURFACE)]
+    if not len(points):  # touched, and nobody knows where
+        return {}
     off = model.sdf.distance(model.local(poses, points.to(poses)).to(model.sdf.bounds)).abs().median(-1).values
     if float((off <= UNMET_M).double().mean()) > _FEW:
         return {}

@@ -26,7 +26,7 @@ from rumi.belief.trajectory_history import History, Segment
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, lone
-from rumi.weights import normalise
+from rumi.weights import equal_weights, normalise
 from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
@@ -129,6 +129,8 @@ class IslandFilter(BootstrapFilter):
 
     def log_shares(self, islands: Sequence[PoseBelief]) -> Float[Tensor, "I"]:
         """Log of the populations' shares in the belief, by a power of their evidence."""
+        if self.evidence_power == 0:
+            return equal_weights(torch.zeros(len(islands), dtype=torch.float64))
         evidence = [self.particles_of(island)[0].log_evidence for island in islands]
         return normalise(self.evidence_power * torch.tensor(evidence, dtype=torch.float64))
 

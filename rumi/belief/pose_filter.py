@@ -80,6 +80,8 @@ class PoseFilter(nn.Module):
         pushed: Predictor | None = None,
     ) -> None:
         super().__init__()
+        if settings.motion == "auto":
+            raise ValueError("Expected a motion by which poses are followed, got 'auto', which tasks settle: name one")
         if search not in SEARCHES:
             raise ValueError(f"Expected search to be one of {', '.join(SEARCHES)}, got {search!r}")
         points, further = evidence[0] if evidence else None, evidence[1:]

@@ -38,9 +38,9 @@ _BELOW_TOP = 0.95  # of an object's height, above which a tool cannot meet it
 def settings_of(mapping: BagMap) -> Settings:
     """The settings that a mapping asks for, on top of those of its preset.
 
-    Where the mapping names no motion, the object's is "measured" if a frame rides with it; else it is that of
-    `filter.unmeasured`, else "trajectory" where a prior is followed by the touches of an upright rod with a force
-    sensor, else "corrected", or in space "estimated".
+    Where the mapping names no motion, or "auto", the object's is "measured" if a frame rides with it, in space too;
+    else it is that of `filter.unmeasured`, else "trajectory" where a prior is followed by the touches of an upright rod
+    with a force sensor, else "corrected", or in space "estimated".
 
     Raises:
         UsageError: it has some that there are not, or that a recording has no use for, or says how far the tool may be

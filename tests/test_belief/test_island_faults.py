@@ -190,6 +190,15 @@ def test_a_brief_first_touch_where_hardly_any_of_the_prior_is_may_be_false(box, 
     assert by_brief_touch(MisfitSettings(), stated) == pytest.approx(math.log(0.1 / (0.001 * 0.1 + stated)))
 
 
+def test_a_first_touch_of_an_unknown_place_is_not_asked_about(box, prior):
+    filtering = follow(box, prior, IslandFilter, unseen_particles=900, islands=3, false=2e-4)
+    reading = felt_by(box, pose(prior), towards(-0.055, count=6))
+    nowhere = replace(reading, observation=reading.observation[reading.instant < 0], instant=reading.instant[:0])
+    brief = reading.in_contact & (reading.in_contact.cumsum(0) == 1)
+    ratio, _ = told(filtering, begin(filtering, prior)[0], replace(nowhere, in_contact=brief))
+    assert int(brief.sum()) == 1 and ratio["false contacts"] == 0.0
+
+
 def test_a_long_first_touch_is_never_false(box, prior):
     filtering = follow(box, prior, IslandFilter, unseen_particles=900, islands=3, false=2e-4)
     there = PLACE - torch.tensor([0.3, 0.0, 0.0], dtype=torch.float64)

@@ -101,6 +101,12 @@ def test_a_measured_motion_costs_nothing_and_keeps_every_weight():
     torch.testing.assert_close(kept.points, memory.points)
 
 
+def test_a_motion_that_tasks_settle_is_refused():
+    box = Box((0.04, 0.04, 0.04))
+    with pytest.raises(ValueError, match="got 'auto', which tasks settle"):
+        PoseFilter(FilterSettings(motion="auto"), [Discrepancy(box, 0.04)], "SE(2)")
+
+
 def test_points_are_attached_at_their_own_instants():
     truth = planar(0.4, 0.0, 0.2)
     path = se3.exp(

@@ -291,6 +291,10 @@ def test_a_server_that_is_killed_leaves_a_readable_run(tmp_path):
         (["--workspace", *["1", "0", "0", "0", "1", "0"], "--builtin", "box"], "a lower and an upper corner"),
         (["--workspace", *["0", "0", "0.1", "1", "1", "0.1"], "--builtin", "can"], "There is no object 'can'"),
         (["--builtin", "box"], "--workspace"),
+        (
+            ["--workspace", *["0", "0", "0", "1", "1", "0"], "--builtin", "box", "--motion", "auto"],
+            "got auto: leave it out where nothing measures it",
+        ),
     ],
 )
 def test_bad_input_is_named(arguments, message, capsys, tmp_path):

@@ -76,7 +76,7 @@ def plan(setup: Setup, task: str, push_model: str, samples: int | None = None) -
     if setup.tiny:
         made_up = mug_scene(setup) if task == "mug-0" else box_scene(setup)
         return _made_up(setup, made_up, "made up", push_model)
-    settings = preset("default", task=task, seed=_SEED, device=setup.device.type)
+    settings = preset("default", task=task, seed=_SEED, device=setup.device.type, **{"filter.motion": "measured"})
     planner = settings.planner
     if samples is not None:
         planner = replace(planner, mppi=replace(planner.mppi, samples=samples))

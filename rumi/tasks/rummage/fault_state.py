@@ -18,14 +18,14 @@ class Watch:
     Attributes:
         evidence: since the belief was last begun; None before the first reading.
         begun: number of the action after which that was.
-        lost: whether an alarm was raised that no search came after.
+        lost: whether an alarm was raised that no search came after, or the run ended with a last word.
         unseated: name of the remark by which an object that no belief has but upright may lie otherwise; None where
             none says so.
         nats: evidence against "no fault so far", after the last reading.
         p_value: of the last reading under the belief, an upper bound.
         explanations: posterior of "no fault" and of each fault after the last reading that was asked about; after an
             alarm that of the alarm, until the next.
-        named: the fault of the last alarm.
+        named: the fault of the last alarm, or of the last word.
         following: filter that the run goes on by since an alarm; None for its own.
         adopted: the rival that was right, by the last alarm.
         rivals: beliefs under faults that hold from the first view on; None before they are asked.

@@ -63,13 +63,12 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
 def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
     """The simulator's settings with whether actions are guarded moves.
 
-    What a long push does is the least that a belief without a sensor of motion knows; a short one tells as much.
+    What a long push does is the least that a belief of trajectories knows; a short one tells as much.
     """
     simulator = settings.simulator
     if simulator.guarded != "auto":
         return simulator
-    unmeasured = followed(spec, settings).motion == "trajectory"
-    return replace(simulator, guarded="always" if unmeasured else "never")
+    return replace(simulator, guarded="always" if followed(spec, settings).motion == "trajectory" else "never")
 
 
 def unsteady(pose_filter: PoseFilter) -> bool:

@@ -52,8 +52,8 @@ def rummager(
             `object_motion` is evidence where a reading has one: in the plane after
             a first view or from a prior, in space from a prior and by the gripper), "corrected" or "pushed" (a push
             model, of upright objects and a tool in the plane), "estimated" or "sticking". "auto" is "trajectory" in
-            space from a prior and by the gripper, else "measured". By default that of the settings, or without
-            settings `unmeasured`.
+            space from a prior and by the gripper, else "measured" (of settings that measure nothing, what suits). By
+            default that of the settings, or without settings `unmeasured`.
         prior: where the object is about, if the robot does not look at it first.
         up: axes of the object one of which points up where it lies, if the robot does not look at it first.
         search: freedom of the object's pose; by default "SE(3)" for a tool that moves in space.

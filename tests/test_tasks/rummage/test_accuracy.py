@@ -156,6 +156,8 @@ def test_runs_on_record_keep_what_their_errors_counted_as():
     assert before.stated_errors == "noise" and before.motion == "measured"
     assert before.trajectories.exchanged == 0.0 and before.trajectories.evidence_power == 0.0
     assert from_dict(made).filter.stated_errors == "auto"
+    made["filter"]["trajectories"]["exchanged"] = None  # said, but not how islands are weighed
+    assert from_dict(made | {"made_with": {}}).filter.trajectories.evidence_power == 0.0
 
 
 def test_runs_on_record_keep_how_mugs_were_pushed():
