@@ -23,10 +23,11 @@ class FilterSettings(Checked):
             it: they stay where they are, and those inside a particle go at every step. Not of the motion "trajectory".
         motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it,
             "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way; with
-            "trajectory" every particle has its own (`PoseTrajectoryFilter`).
-        unmeasured: what "measured" becomes where nothing measures the motion; "pushed" and "corrected" are for upright
-            objects and a level tool, and "estimated" elsewhere. None for what suits: "trajectory" where a view or a
-            prior is followed by touches alone, else "corrected", in space "estimated".
+            "trajectory" every particle has its own (`PoseTrajectoryFilter`), of which a measured one is evidence.
+            "auto", of tasks, is "trajectory" in space where a prior is followed by touches, else "measured".
+        unmeasured: what "measured" and "auto" become where nothing measures the motion; "pushed" and "corrected" are
+            for upright objects and a level tool, and "estimated" elsewhere. None for what suits: "trajectory" where a
+            view or a prior is followed by touches alone, else "corrected", in space "estimated".
         stated_errors: what a robot and its model are stated to be off by in a whole run counts as wider "noise" of the
             sensors of trajectories, or, in the plane, as "systematic" errors that every particle has of its own;
             "auto": as these where there can be any.
@@ -78,5 +79,5 @@ class FilterSettings(Checked):
         """Refuse what has no meaning."""
         numbers.refuse_trained(self, "peakiness", "translation_noise_m", "rotation_noise_rad")
         super().__post_init__()
-        if self.unmeasured == "measured":
-            raise ValueError("Expected unmeasured to be a motion that needs no slip sensor, got 'measured'")
+        if self.unmeasured in ("auto", "measured"):
+            raise ValueError(f"Expected unmeasured to be a motion that needs no slip sensor, got {self.unmeasured!r}")

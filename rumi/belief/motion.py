@@ -17,8 +17,9 @@ from sensors.discrepancy import Discrepancy
 from sensors.observation import attach
 from sensors.reading import Reading
 
-Motion = Literal["measured", "sticking", "pushed", "estimated", "corrected", "trajectory"]
-MOTIONS: tuple[str, ...] = get_args(Motion)
+Motion = Literal["auto", "measured", "sticking", "pushed", "estimated", "corrected", "trajectory"]
+MOTIONS: tuple[str, ...] = get_args(Motion)[1:]
+"""Of a filter; tasks choose what "auto" is."""
 
 Predictor = Callable[[PoseBelief, Reading], Tensor]
 """World motion (*b, K, 4, 4) that a push model makes of a belief and the tool's path."""

@@ -52,7 +52,7 @@ def settings_of(mapping: BagMap) -> Settings:
             raise UsageError(f"Expected no {name} in the mapping's [settings], since {use}: leave it out")
     start = to_dict(preset(str(asked.get("preset", "default"))))
     settings = from_dict({**_merged(start, asked), "task": IMPORTED})
-    if "motion" not in asked.get("filter", {}):
+    if asked.get("filter", {}).get("motion", "auto") == "auto":
         motion = _unmeasured(mapping, settings) if mapping.frames.motion is None else "measured"
         settings = replace(settings, filter=replace(settings.filter, motion=motion))
     settings = replace(settings, filter=replace(settings.filter, trajectories=_trajectories(mapping, settings)))

@@ -74,7 +74,7 @@ REFUSED = [
     Refused(MPPISettings, "change_cost to be 0 or more", one("change_cost", -1.0)),
     Refused(MPPISettings, "change_cost to be 0 or more and finite", one("change_cost", INF)),
     Refused(FilterSettings, "measured, sticking, pushed, estimated, corrected", one("motion", "guessed")),
-    Refused(FilterSettings, "needs no slip sensor", one("unmeasured", "measured")),
+    Refused(FilterSettings, "needs no slip sensor", one("unmeasured", "measured", "auto")),
     Refused(FilterSettings, None, [{"peakiness": 0.0}, {"trigger_percentile": 2.0}]),
     Refused(ResampleMoveSettings, None, [{"trigger": 2.0}, {"crossed": -1.0}, {"moves": -1}, {"jitter_m": (0.0, 1.0)}]),
     Refused(TrajectorySettings, None, [{"trigger": 1.5}, {"friction": (0.5, 0.1)}, {"jitter_rad_per_m": NAN}]),

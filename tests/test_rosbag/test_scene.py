@@ -42,6 +42,7 @@ def test_every_setting_is_honoured():
 
 def test_what_nobody_measures_is_not_taken_for_measured():
     assert rummager_of().filter.settings.motion == "corrected"
+    assert rummager_of('filter.motion = "auto"').filter.settings.motion == "corrected"
     assert rummager_of('filter.unmeasured = "sticking"').filter.settings.motion == "sticking"
 
 

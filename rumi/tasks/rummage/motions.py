@@ -45,14 +45,17 @@ _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that pu
 
 def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
     """The filter's settings with the motion that something measures, or what takes its place."""
-    following = settings.filter
-    if following.motion != "measured" or (spec.measures_motion and settings.simulator.measures_motion):
+    following, possible = settings.filter, _no_trajectory(settings) is None
+    if following.motion not in ("auto", "measured"):
         return following
+    if spec.measures_motion and settings.simulator.measures_motion:
+        apart = following.motion == "auto" and possible and spec.prior is not None and not is_planar(spec)
+        return replace(following, motion="trajectory" if apart else "measured")
     motion = untracked(
         following.unmeasured,
         planar=is_planar(spec),
         seen=spec.camera is not None and spec.prior is None,
-        trajectories=_no_trajectory(settings) is None,
+        trajectories=possible,
     )
     return replace(following, motion=motion)
 

@@ -51,8 +51,9 @@ def rummager(
             lacks it is refused. Otherwise nothing has to measure it: "trajectory" (each particle's own, of which an
             `object_motion` is evidence where a reading has one: in the plane after
             a first view or from a prior, in space from a prior and by the gripper), "corrected" or "pushed" (a push
-            model, of upright objects and a tool in the plane), "estimated" or "sticking". By default that of the
-            settings, or without settings `unmeasured`.
+            model, of upright objects and a tool in the plane), "estimated" or "sticking". "auto" is "trajectory" in
+            space from a prior and by the gripper, else "measured". By default that of the settings, or without
+            settings `unmeasured`.
         prior: where the object is about, if the robot does not look at it first.
         up: axes of the object one of which points up where it lies, if the robot does not look at it first.
         search: freedom of the object's pose; by default "SE(3)" for a tool that moves in space.
@@ -72,7 +73,10 @@ def rummager(
         settings = preset("default")
         motion = motion or unmeasured(settings, workspace, tool=tool, prior=prior)
     _check_followed(settings)
-    settings = replace(settings, filter=replace(settings.filter, motion=motion or settings.filter.motion))
+    motion = motion or settings.filter.motion
+    if motion == "auto" and not (tool is None or isinstance(tool, GripperShape)):
+        motion = "measured"  # what topples is followed before a gripper alone
+    settings = replace(settings, filter=replace(settings.filter, motion=motion))
     for name, value in (("action_m", action_m), ("action_rad", action_rad)):
         if not 0 < value < float("inf"):
             raise UsageError(f"Expected {name} to be a finite number above 0, got {value}")

@@ -90,7 +90,7 @@ class Settings:
     retreats: bool | None = None
     plan_budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     tool_height_m: Annotated[float | None, tyro.conf.arg(name="tool-height", metavar="M")] = None
-    filter: FilterSettings = field(default_factory=FilterSettings)
+    filter: FilterSettings = field(default_factory=lambda: FilterSettings(motion="auto"))
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
     planner: RummagingSettings = field(default_factory=RummagingSettings)
@@ -182,10 +182,10 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     """
     if "made_with" in values and "filter" in values:
         # runs on record that do not say otherwise are of before errors of a whole run were particles' own, populations
-        # exchanged particles, what is felt standing still counted less, what is pushed in space slipped, a camera
-        # that looks again was evidence of each particle's own motion, each cell that a view sees through counted, what
-        # stands on its rim turned about it, and the next touch was chosen in space
-        following = {"stated_errors": "noise", **values["filter"]}
+        # exchanged particles or were weighed by their evidence, what is felt standing still counted less, what is
+        # pushed in space slipped, a camera that looks again was evidence of each particle's own motion, each cell that
+        # a view sees through counted, what stands on its rim turned about it, and the next touch was chosen in space
+        following = {"stated_errors": "noise", "motion": "measured", **values["filter"]}
         spec = (SCENES | DRAWN).get(values.get("task", ""))
         if spec is not None and spec.looks_again and "seen_again_points" not in following.get("trajectories", {}):
             following["unmeasured"] = following.get("unmeasured") or "corrected"

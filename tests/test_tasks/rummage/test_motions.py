@@ -7,7 +7,7 @@ import pytest
 from rumi.errors import UsageError
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
-from rumi.tasks.rummage.motions import check_trajectory, followed
+from rumi.tasks.rummage.motions import check_trajectory, followed, guarded
 from rumi.tasks.rummage.scenes import SCENES, find_task
 from rumi.tasks.rummage.settings import Settings, preset
 
@@ -18,9 +18,20 @@ def without_sensor(task: str, name: str = "default") -> Settings:
 
 
 @pytest.mark.parametrize("task", [*SCENES, *DRAWN])
-def test_what_is_measured_is_taken_where_it_is_measured(task):
-    expected = "measured" if find_task(task).measures_motion else "trajectory"
-    assert followed(find_task(task), preset(task=task, conditions="ideal")).motion == expected
+def test_what_is_measured_is_evidence_of_what_may_topple_and_taken_as_it_is_elsewhere(task):
+    spec, settings = find_task(task), preset(task=task, conditions="ideal")
+    apart = not spec.measures_motion or (spec.spatial and spec.prior is not None)
+    assert followed(spec, settings).motion == ("trajectory" if apart else "measured")
+    assert guarded(spec, settings).guarded == ("always" if apart else "never")
+    asked = replace(settings, filter=replace(settings.filter, motion="measured"))
+    assert followed(spec, asked).motion == ("measured" if spec.measures_motion else "trajectory")
+    printed = followed(spec, preset("paper", task=task, conditions="ideal"))
+    assert printed.motion == ("measured" if spec.measures_motion else "estimated")
+
+
+def test_a_measured_motion_that_no_trajectory_takes_in_is_taken_as_it_is():
+    settings = preset(task="drill", conditions="ideal", **{"filter.free_points": "dropped"})
+    assert followed(find_task("drill"), settings).motion == "measured"
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,20 @@ def test_without_a_word_nothing_is_taken_for_measured(workspace, given, motion, 
     assert rumi.rummager(model, workspace, **given).filter.settings.motion == motion
 
 
+@pytest.mark.parametrize(
+    ("workspace", "given", "motion"),
+    [
+        (lattice(), {}, "measured"),
+        (lattice(0.03, 0.2), {}, "measured"),
+        (lattice(0.03, 0.2), {"prior": PriorSpec((0.5, 0.0), 0.02), "up": ("x", "y", "z")}, "trajectory"),
+        (lattice(0.03, 0.2), {"prior": PriorSpec((0.5, 0.0), 0.02), "tool": BALL}, "measured"),
+    ],
+)
+def test_what_a_sensor_measures_is_evidence_of_what_may_topple(workspace, given, motion, model):
+    for asked in ({"motion": "auto"}, {"settings": rumi.preset("default")}):
+        assert rumi.rummager(model, workspace, **given, **asked).filter.settings.motion == motion
+
+
 def test_in_the_plane_trajectories_may_begin_from_a_prior(model):
     prior = PriorSpec((0.5, 0.0), 0.02, (0.3, 0.1))
     found = rumi.rummager(model, lattice(), motion="trajectory", prior=prior).filter
