@@ -1,10 +1,11 @@
 """Log-likelihood ratios of named faults against the belief of islands, for each reading of an object that may topple.
 
 Each fault is a predictive density of the action by each population, as of upright objects
-(`rumi.belief.trajectory_faults`); that of the belief is their even mixture. "No fault" is what the filter adds up
-itself. Where that is little, or where silence is unlikely, it is worked out again from particles of which none jumps:
-the filter has a share of them jump, as no push model has it, and what jumps explain is what is asked about. So the
-ratios are not against the filter's own prediction everywhere: how often they raise an alarm is measured, not proven.
+(`rumi.belief.trajectory_faults`); that of the belief is their mixture, by the shares that they had. "No fault" is what
+the filter adds up itself. Where that is little, or where silence is unlikely, it is worked out again from particles of
+which none jumps: the filter has a share of them jump, as no push model has it, and what jumps explain is what is asked
+about. So the ratios are not against the filter's own prediction everywhere: how often they raise an alarm is measured,
+not proven.
 """
 
 import math
@@ -86,12 +87,17 @@ def log_ratios(
     """
     pairs = zip(islands_of(before), islands_of(after), strict=True)
     each = [_densities(last, now, reading, pose_filter, own, generator, stuck) for last, now in pairs]
-    none, as_stated = (float(np.logaddexp.reduce([getattr(one, p) for one in each])) for p in ("none", "as_stated"))
+    shares = pose_filter.log_shares(islands_of(before)).numpy()
+    none, as_stated = (_log_sum(shares + [getattr(one, part) for one in each]) for part in ("none", "as_stated"))
     found = []
     for name in ISLAND_FAULTS[:-1]:
-        fault = float(np.logaddexp.reduce([one.none + one.faults[name] for one in each]))
+        fault = _log_sum(shares + [one.none + one.faults[name] for one in each])
         found.append(fault - (as_stated if name == "false contacts" else none))
     return torch.tensor([*found, stuck.ratio], dtype=torch.float64)
+
+
+def _log_sum(logs: Float[np.ndarray, "n"]) -> float:
+    return float(np.logaddexp.reduce(logs))
 
 
 def _densities(

@@ -1,11 +1,11 @@
-"""Islands of a bootstrap filter: populations that go on by themselves, whose even mixture is the belief.
+"""Islands of a bootstrap filter: populations that go on by themselves, whose mixture is the belief.
 
 After a touch that several ways of lying explain a population keeps those that its few good draws happen to have, and
-forgets the others: it is sure of what another draw of the same numbers denies. Their estimates of the evidence differ
-by 5 to 20 nats where nothing but the draws does, so that weights by them would be noise, too. Populations with nothing
-in common show what the draws have decided: what they disagree on is not known (island particles of Verge, Dubarry, Del
-Moral and Moulines 2015, without their interaction). Where pushes go otherwise than the model has them a population may
-lose the truth; there they exchange a few particles.
+forgets the others: it is sure of what another draw of the same numbers denies. Populations with nothing in common show
+what the draws have decided: what they disagree on is not known (island particles of Verge, Dubarry, Del Moral and
+Moulines 2015, without their interaction). Their estimates of the evidence differ by 5 to 20 nats where nothing but the
+draws does, so that they are weighed by a small power of it. Where pushes go otherwise than the model has them a
+population may lose the truth; there they exchange a few particles, and have even shares.
 """
 
 import math
@@ -62,12 +62,14 @@ class IslandFilter(BootstrapFilter):
         self.own = replace(self.own, unseen_particles=max(1, self.own.unseen_particles // count))
         usual = _EXCHANGED if model.unsteady else 0.0
         self.exchanged = usual if self.own.exchanged is None else self.own.exchanged
+        # evidence of particles that came from elsewhere is no population's own
+        self.evidence_power = 0.0 if self.exchanged > 0 else self.own.evidence_power
         self.shown = max(1, SHOWN // count)
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> IslandBelief:
         """Draws of the prior, of each population its own."""
         begun = [super(IslandFilter, self).begin(belief, memory, generator=generator) for _ in range(self.own.islands)]
-        return mixture(begun)
+        return self.mixture(begun)
 
     @torch.no_grad()
     def forward(
@@ -86,7 +88,7 @@ class IslandFilter(BootstrapFilter):
             infos.append(info)
         moved = torch.stack([info.moved for info in infos]).any(0)
         resampled = torch.stack([info.resampled for info in infos]).any(0)
-        return mixture(after), kept, FilterInfo(moved, resampled, infos[0].added)
+        return self.mixture(after), kept, FilterInfo(moved, resampled, infos[0].added)
 
     def _exchanged(self, islands: Sequence[BootstrapBelief], random: torch.Generator) -> list[BootstrapBelief]:
         """The populations with a share of each drawn from the others, where particles may take part in a touch."""
@@ -113,12 +115,22 @@ class IslandFilter(BootstrapFilter):
     def begun_again(self, belief: PoseBelief, reading: Reading, *, generator: Generators) -> IslandBelief:
         """The belief after a jump in the last action; see `BootstrapFilter.begun_again`."""
         again = super().begun_again
-        return mixture([again(island, reading, generator=generator) for island in islands_of(belief)])
+        return self.mixture([again(island, reading, generator=generator) for island in islands_of(belief)])
 
     def leaning(self, belief: PoseBelief, least_rad: float) -> float:
         """Share of a belief that leans on the tool by at least an angle."""
-        each = [super(IslandFilter, self).leaning(island, least_rad) for island in islands_of(belief)]
-        return sum(each) / len(each)
+        islands = islands_of(belief)
+        each = [super(IslandFilter, self).leaning(island, least_rad) for island in islands]
+        return sum(share * own for share, own in zip(self.log_shares(islands).exp().tolist(), each, strict=True))
+
+    def mixture(self, islands: Sequence[PoseBelief]) -> IslandBelief:
+        """The belief of populations, by their shares in it."""
+        return _mixture(islands, self.log_shares(islands))
+
+    def log_shares(self, islands: Sequence[PoseBelief]) -> Float[Tensor, "I"]:
+        """Log of the populations' shares in the belief, by a power of their evidence."""
+        evidence = [self.particles_of(island)[0].log_evidence for island in islands]
+        return normalise(self.evidence_power * torch.tensor(evidence, dtype=torch.float64))
 
     def log_chance(self, belief: PoseBelief) -> float:
         """Log of a bound on the p-value of all readings at the best particle of any population."""
@@ -136,13 +148,13 @@ def islands_of(belief: PoseBelief) -> tuple[BootstrapBelief, ...]:
     return belief.islands
 
 
-def mixture(islands: Sequence[PoseBelief]) -> IslandBelief:
-    """The even mixture of populations, in the frame of the first."""
+def _mixture(islands: Sequence[PoseBelief], log_shares: Float[Tensor, "I"]) -> IslandBelief:
+    """The mixture of populations, by the log of their shares, in the frame of the first."""
     parts = [island for island in islands if isinstance(island, BootstrapBelief)]
     frame = parts[0].world_T_attached
     back = se3.inverse(frame)
     poses = torch.cat([parts[0].attached_T_object, *[back @ part.world_T_object for part in parts[1:]]])
-    share = [part.log_weights - torch.log(torch.tensor(float(len(parts)))) for part in parts]
+    share = [part.log_weights + own for part, own in zip(parts, log_shares.to(parts[0].log_weights), strict=True)]
     now = _as_of_now([part.trajectories for part in parts if part.trajectories is not None])
     flat = torch.cat([part.discrepancy for part in parts])
     return IslandBelief(frame, poses, normalise(torch.cat(share)), flat, None, now, tuple(parts))

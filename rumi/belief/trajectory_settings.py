@@ -49,6 +49,8 @@ class PoseTrajectorySettings:
         exchanged: share of each population that comes from the others before an action with contact, which then has to
             explain it as well as those it came to. That brings back what one of them lost, and couples what they are
             sure of. None: .05 of what is soon toppled, else 0.
+        evidence_power: of each population's evidence, by which it is weighed where nothing is exchanged: 1 as if no
+            noise were in it, 0 evenly.
         branches: motions drawn for each particle when a segment comes in.
         instants: of contact that make a segment.
         lag: pushed segments, from the last on, whose noise is still moved by itself.
@@ -129,6 +131,7 @@ class PoseTrajectorySettings:
     unseen_particles: int = 12000
     islands: int = 3
     exchanged: float | None = None
+    evidence_power: float = 0.2
     branches: int = 6
     instants: int = 5
     lag: int = 10
@@ -297,5 +300,7 @@ class PoseTrajectorySettings:
             raise ValueError(f"Expected eye_m as three finite numbers (x, y, z), got {self.eye_m}")
         if min(*self.most, self.free_most) < 1 or self.friction[0] == 0 or self.lever_ratio[0] == 0:
             raise ValueError("Expected most, free_most, and the medians of friction and lever_ratio, to be above 0")
+        if self.evidence_power > 1:
+            raise ValueError(f"Expected evidence_power in [0, 1], got {self.evidence_power}")
         if self.shared > 1 or not 0 < self.outliers < 0.5:
             raise ValueError(f"Expected shared in [0, 1] and outliers in (0, 0.5), got {self.shared}, {self.outliers}")

@@ -8,7 +8,7 @@ import torch
 
 from rumi.belief.change_test import ChangeTest
 from rumi.belief.island_faults import ISLAND_FAULTS, log_ratios
-from rumi.belief.island_filter import IslandFilter, islands_of, mixture
+from rumi.belief.island_filter import IslandFilter, islands_of
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.predicted_action import log_evidence
 from rumi.belief.stuck_hand import Told
@@ -33,7 +33,7 @@ def known(followed, prior, place=PLACE):
         poses[:, -1, 3] = 1.0
         now = replace(island.every, poses=poses, apart=False)
         parts.append(followed.belief_of(now, island.every_log_weight, island.world_T_attached, island.log_weights))
-    return mixture(parts)
+    return followed.mixture(parts)
 
 
 def told(followed, before, reading, seed=3, **own):
@@ -117,7 +117,7 @@ def test_populations_that_are_wrong_do_not_make_a_fault(box, prior, followed):
     """Two of three believe in another place: the mixture expects the touch with a third of the belief."""
     parts = list(islands_of(known(followed, prior)))
     parts[1:] = islands_of(known(followed, prior, PLACE + torch.tensor([0.0, 0.3, 0.0], dtype=torch.float64)))[1:]
-    ratio, _ = told(followed, mixture(parts), felt_by(box, pose(prior), towards(-0.055, count=12)))
+    ratio, _ = told(followed, followed.mixture(parts), felt_by(box, pose(prior), towards(-0.055, count=12)))
     assert max(ratio.values()) < math.log(3.0)
     assert max(ratio[name] for name in ("knocked", "absent", "second object")) < 0.0
 

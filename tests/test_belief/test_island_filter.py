@@ -1,4 +1,4 @@
-"""Islands: populations that go on by themselves, whose even mixture is the belief."""
+"""Islands: populations that go on by themselves, whose mixture is the belief."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ import torch
 
 from rumi.belief.bootstrap_filter import SHOWN, BootstrapFilter
 from rumi.belief.frictions import frictions_of
-from rumi.belief.island_filter import IslandBelief, IslandFilter, islands_of, mixture
+from rumi.belief.island_filter import IslandBelief, IslandFilter, islands_of
 from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -79,7 +79,7 @@ def test_what_an_island_missed_comes_back_from_the_others_where_a_touch_tells(bo
             now = replace(island.every, poses=poses, apart=False)
             like = (island.world_T_attached, island.log_weights)
             parts.append(followed.belief_of(now, island.every_log_weight, *like))
-        belief = mixture(parts)
+        belief = followed.mixture(parts)
         for number, x in enumerate((-0.055, -0.054)):
             reading = felt_by(box, truth, towards(x))
             belief, memory, _ = followed(belief, memory, reading, generator=generator(number))
@@ -109,7 +109,7 @@ def test_what_islands_disagree_on_is_not_known(box, prior):
         still[:, -1, :2] = torch.tensor([x, 0.0])
         now = replace(island.every, poses=still)
         parts.append(followed.belief_of(now, island.every_log_weight, island.world_T_attached, island.log_weights))
-    mixed = mixture(parts)
+    mixed = followed.mixture(parts)
     near = (mixed.world_T_object[:, 0, 3] < 0.025).float() @ mixed.log_weights.exp()
     torch.testing.assert_close(near, torch.tensor(0.5), atol=1e-5, rtol=0)
 
@@ -137,6 +137,24 @@ def test_a_jump_begins_every_island_anew(box, prior):
     assert bool(torch.isfinite(again.world_T_object).all())
 
 
+def test_islands_are_weighed_by_a_power_of_their_evidence(box, prior):
+    followed = follow(box, prior, IslandFilter, unseen_particles=90, islands=3, exchanged=0.0, evidence_power=0.25)
+    belief, _ = begin(followed, prior)
+    told = (-10.0, -10.0 + 4.0 * math.log(2.0), -10.0 + 4.0 * math.log(5.0))
+    parts = []
+    for island, nats in zip(islands_of(belief), told, strict=True):
+        now, log_weights = followed.particles_of(island)
+        own = replace(now, log_evidence=nats)
+        parts.append(followed.belief_of(own, log_weights, island.world_T_attached, island.log_weights))
+    mixed = followed.mixture(parts)
+    shares = [part.exp().sum() for part in mixed.log_weights.split([len(part.log_weights) for part in parts])]
+    torch.testing.assert_close(torch.stack(shares), torch.tensor([0.125, 0.25, 0.625]))
+    exchanging = follow(box, prior, IslandFilter, unseen_particles=90, islands=3, exchanged=0.1, evidence_power=0.25)
+    assert exchanging.log_shares(parts).exp().tolist() == pytest.approx([1.0 / 3.0] * 3)
+    with pytest.raises(ValueError, match=r"evidence_power in \[0, 1\]"):
+        replace(followed.own, evidence_power=1.5)
+
+
 def test_what_leans_is_weighed_over_all_islands(box, prior):
     followed = follow(box, prior, IslandFilter, unseen_particles=90, islands=3, exchanged=0.0)
     belief, _ = begin(followed, prior)
@@ -150,7 +168,7 @@ def test_what_leans_is_weighed_over_all_islands(box, prior):
         parts.append(
             followed.belief_of(replace(now, poses=poses), log_weights, island.world_T_attached, island.log_weights)
         )
-    leaning = mixture(parts)
+    leaning = followed.mixture(parts)
     assert followed.leaning(leaning, 0.0) == pytest.approx(0.8)
     assert followed.leaning(leaning, math.radians(1.0)) == pytest.approx(0.8 * 2 / 3)
 

@@ -190,7 +190,7 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
         if spec is not None and spec.looks_again and "seen_again_points" not in following.get("trajectories", {}):
             following["unmeasured"] = following.get("unmeasured") or "corrected"
         if "trajectories" in following:
-            once = {"exchanged": 0.0, "fresh_m": 0.0, "slip": 0.0, "rim": False, "push_m": 0.0}
+            once = {"exchanged": 0.0, "evidence_power": 0.0, "fresh_m": 0.0, "slip": 0.0, "rim": False, "push_m": 0.0}
             following["trajectories"] = once | following["trajectories"]
             if "free_points" not in following["trajectories"]:
                 again = spec is not None and spec.looks_again

@@ -152,10 +152,10 @@ def test_guarded_moves_need_pads_that_feel_points(cache):
 def test_runs_on_record_keep_what_their_errors_counted_as():
     made = to_dict(preset(task="mug"))
     del made["filter"]["stated_errors"], made["filter"]["motion"]
-    del made["filter"]["trajectories"]["exchanged"]
+    del made["filter"]["trajectories"]["exchanged"], made["filter"]["trajectories"]["evidence_power"]
     before = from_dict(made | {"made_with": {}}).filter
     assert before.stated_errors == "noise" and before.motion == "measured"
-    assert before.trajectories.exchanged == 0.0
+    assert before.trajectories.exchanged == 0.0 and before.trajectories.evidence_power == 0.0
     assert from_dict(made).filter.stated_errors == "auto"
 
 
