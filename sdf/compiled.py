@@ -66,6 +66,14 @@ def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without t
     return inner(_nrt=False)(function)
 
 
+def inlined(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without types)
+    """Decorator: a `bare` function that becomes part of each that calls it.
+
+    For those that take many arrays and are called in one place: an array is handed over as seven numbers or more.
+    """
+    return inner(_nrt=False, forceinline=True)(function)
+
+
 def inner(**options: Any) -> Callable[[FunctionType], Any]:  # noqa: ANN401  (numba's own)
     """Decorator: compile a function that kernels alone call; a third of a kernel's compile time goes into other calls.
 

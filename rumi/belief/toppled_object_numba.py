@@ -5,10 +5,9 @@ import math
 import numpy as np
 
 from rumi.belief.silence_numba import SILENT, told_by_silence
-from rumi.dynamics.tool_contact import GROUP
-from rumi.dynamics.tool_contact_numba import clear_of, float32, placed
+from rumi.dynamics.tool_contact_numba import bounded, clear, float32, placed, tool_of
 from rumi.dynamics.toppling_numba import pushed
-from sdf.compiled import Kernel, bare
+from sdf.compiled import Kernel, bare, inlined
 from sdf.grid_numba import at, between, fast, lattice_of, value
 from sdf.part_numba import indices
 
@@ -34,14 +33,15 @@ def _readings(first, last, frame, points, weight, row, priced, inverse, half, to
     return total
 
 
-@bare
+@inlined
 def _untouched(state, frame, after, numbers, tool, box):
     """How far the tool may go from a pose of its own until it can meet an object at rest; 0 where it may now."""
     if state[4] >= 0:
         return 0.0
     if (after[0] - state[0]) ** 2 + (after[1] - state[1]) ** 2 >= numbers[0] * numbers[0]:
         return _APART_M
-    return float(clear_of(frame, after, tool, box))
+    bounded(frame, after, tool, box)
+    return float(clear(tool))
 
 
 @bare
@@ -61,7 +61,7 @@ def _noisy(state, size, unit_x, unit_y, noise, scales):
 
 
 @bare
-def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
+def _one(n, particles, done, turns, sensed, scene, numbers, scales, logs_of):
     """One particle, from its own segment on; what cannot reach its least log-likelihood any more is given up."""
     first, least, poses, logs, physics, noises = particles
     path, pushes, ends, action, point_ends = done
@@ -80,7 +80,7 @@ def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
         poses[n, begin, 5],
     )
     frame = placed(state[0], state[1], state[2], state[3], state[4], state[5], rests)
-    apart, last = 0.0, (0.0, 0.0, 0.0, 0.0)
+    apart, last = 0.0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     sizes = (scales[12], scales[16], scales[18], scales[25])
     ahead = scales[4] + scales[5] * physics[n, 4]
     centre_x, centre_y = scales[6] * physics[n, 2], scales[6] * physics[n, 3]
@@ -101,11 +101,18 @@ def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
         for instant in range(ends[segment - 1] if segment > 0 else 0, ends[segment]):
             if pushes[instant]:
                 before = (path[instant, 0, 0], path[instant, 0, 1], path[instant, 0, 2], path[instant, 0, 3])
-                after = (path[instant, 1, 0], path[instant, 1, 1], path[instant, 1, 2], path[instant, 1, 3])
+                after = (
+                    path[instant, 1, 0],
+                    path[instant, 1, 1],
+                    path[instant, 1, 2],
+                    path[instant, 1, 3],
+                    turns[instant, 0],
+                    turns[instant, 1],
+                )
                 if apart - _APART_M <= _went(last, after, numbers[2]):
                     apart, last = _untouched(state, frame, after, numbers, tool, box), after
                     if not apart > 0.0:
-                        state, went, unit_x, unit_y = pushed(state, before, after, body, firm, sizes, scene)
+                        state, went, unit_x, unit_y = pushed(state, frame, before, after, body, firm, sizes, scene)
                         state = _noisy(state, went, unit_x, unit_y, noise, scales)
                         frame = placed(state[0], state[1], state[2], state[3], state[4], state[5], rests)
             low, high = point_ends[instant - 1] if instant > 0 else 0, point_ends[instant]
@@ -133,16 +140,18 @@ def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
 
 
 def _replay_in_space(particles, done, sensed, tool, box, rests, numbers, scales, priced, grid, part):
-    points, groups = tool
+    path, turns = done[0], np.empty((len(done[0]), 2))
+    for instant in range(len(path)):
+        turns[instant, 0], turns[instant, 1] = math.cos(path[instant, 1, 2]), math.sin(path[instant, 1, 2])
     scene = (
-        (points, groups, np.empty(len(groups) // 7, np.float32), np.empty(GROUP, np.float32)),
+        tool_of(tool[0], tool[1]),
         (box[0], box[1], box[2], box[3], box[4], box[5]),
         rests,
         grid[0],
         lattice_of(grid[1], grid[2]),
     )
     for n in indices(part, len(particles[0])):
-        _one(np.int64(n), particles, done, sensed, scene, numbers, scales, priced)
+        _one(np.int64(n), particles, done, turns, sensed, scene, numbers, scales, priced)
 
 
 replay = Kernel(_replay_in_space)

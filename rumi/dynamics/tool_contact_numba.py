@@ -1,9 +1,11 @@
 """Building blocks of compiled toppling: what of a level tool an object meets; `tool_contact.py` has the definition.
 
-The tool comes as four arrays: its points by coordinate, GROUP of them to a group that lie near each other; the groups'
-middles, half sides and radii, by coordinate; and room for a number of each group and of each of a group's points. The
-object comes with a box (`GridSDF.box_of`) that tells how deep a point can be in it at most: groups that cannot be
+The tool comes as arrays (`tool_of`): its points by coordinate, GROUP of them to a group that lie near each other; the
+groups' middles, half sides and radii, by coordinate; and room for what is found of the groups and of a group's points.
+The object comes with a box (`GridSDF.box_of`) that tells how deep a point can be in it at most: groups that cannot be
 deeper than what is found are left out.
+
+Where the tool is comes as (x, y, yaw, z, cosine and sine of yaw), since many objects share it.
 """
 
 import math
@@ -12,15 +14,30 @@ import numpy as np
 
 from rumi.dynamics.tool_contact import GRAZE_M, GROUP, LEVEL
 from sdf.compiled import bare
-from sdf.grid_numba import fast, value, value_and_gradient
+from sdf.grid_numba import exact, fast, value, value_and_gradient
 from sdf.intrinsics_numba import at, put
 
 _ROUNDED_M = 1e-6  # that single precision may take from a distance
 
 
+@exact
+def tool_of(points, groups):
+    """The tool's points and groups, and room: for how deep groups can be, their numbers, how far off, and depths."""
+    count = len(groups) // 7
+    room = (count // GROUP + 1) * GROUP
+    near, apart = np.empty(room, np.int32), np.empty(room, np.float32)
+    return points, groups, np.empty(count, np.float32), near, apart, np.empty(GROUP, np.float32)
+
+
 @bare
 def placed(x, y, yaw, rest, edge, tilt, rests):
     """Rotation, row by row, and place of an object."""
+    return placed_at(x, y, math.cos(yaw), math.sin(yaw), rest, edge, tilt, rests)
+
+
+@bare
+def placed_at(x, y, cos, sin, rest, edge, tilt, rests):
+    """The same of an object whose yaw has this cosine and sine."""
     turn, height, point, normal = rests[0], rests[1], rests[4], rests[5]
     a00, a01, a02 = turn[rest, 0, 0], turn[rest, 0, 1], turn[rest, 0, 2]
     a10, a11, a12 = turn[rest, 1, 0], turn[rest, 1, 1], turn[rest, 1, 2]
@@ -53,7 +70,7 @@ def placed(x, y, yaw, rest, edge, tilt, rests):
             py + r01 * dx + r11 * dy + r12 * dz,
             c * dz - r02 * dx - r12 * dy,
         )
-    c, s = math.cos(yaw), math.sin(yaw)
+    c, s = cos, sin
     return (
         c * a00 - s * a10,
         c * a01 - s * a11,
@@ -90,8 +107,9 @@ def float32(frame):
 
 
 @bare
-def tool_in(frame, after, cos, sin):
+def _tool_in(frame, after):
     """Rotation, row by row, and place of the tool in an object's frame, single precision."""
+    cos, sin = after[4], after[5]
     dx, dy, dz = after[0] - frame[9], after[1] - frame[10], after[3] - frame[11]
     return float32(
         (
@@ -149,10 +167,15 @@ def _depths(first, there, points, found, flat, lattice):
 
 
 @bare
-def clear_of(frame, after, tool, box):
-    """How far at least the tool is from where it meets the object; 0 or less where it may."""
-    groups, most = tool[1], tool[2]
-    _bound(tool_in(frame, after, math.cos(after[2]), math.sin(after[2])), groups, box, most)
+def bounded(frame, after, tool, box):
+    """Find how deep each of the tool's groups can be in an object at most, for `clear` and `met_within`."""
+    _bound(_tool_in(frame, after), tool[1], box, tool[2])
+
+
+@bare
+def clear(tool):
+    """How far at least the tool is from where it meets the object that it was bounded for; 0 or less where it may."""
+    most = tool[2]
     deep = most[0]
     for group in range(len(most)):
         deep = max(deep, most[group])
@@ -160,17 +183,33 @@ def clear_of(frame, after, tool, box):
 
 
 @bare
-def _apart(there, group, groups, count, flat, lattice):
-    """Distance of the sphere about a group from the surface, negative where it may be within the object."""
-    px, py, pz = groups[group], groups[count + group], groups[2 * count + group]
-    found = value(
-        there[0] * px + there[1] * py + there[2] * pz + there[9],
-        there[3] * px + there[4] * py + there[5] * pz + there[10],
-        there[6] * px + there[7] * py + there[8] * pz + there[11],
-        flat,
-        lattice,
-    )
-    return found - groups[6 * count + group]
+def _near(tool):
+    """How many groups can be so deep that they count, whose numbers are kept, filled up to a whole GROUP of them."""
+    most, near, count = tool[2], tool[3], 0
+    for group in range(len(most)):
+        near[count] = group
+        count += 0 if most[group] + _ROUNDED_M < -GRAZE_M else 1
+    for place in range(count, (count + GROUP - 1) // GROUP * GROUP):
+        near[place] = near[0]
+    return count
+
+
+@bare
+def _apart(first, there, tool, flat, lattice):
+    """Distances of the spheres about GROUP groups from the surface, negative where they may be within the object."""
+    groups, near, apart = tool[1], tool[3], tool[4]
+    count = len(tool[2])
+    for place in range(first, first + GROUP):
+        group = at(near, place)
+        px, py, pz = at(groups, group), at(groups, count + group), at(groups, 2 * count + group)
+        found = value(
+            there[0] * px + there[1] * py + there[2] * pz + there[9],
+            there[3] * px + there[4] * py + there[5] * pz + there[10],
+            there[6] * px + there[7] * py + there[8] * pz + there[11],
+            flat,
+            lattice,
+        )
+        put(apart, place, found - at(groups, 6 * count + group))
 
 
 @bare
@@ -179,24 +218,35 @@ def met(frame, after, tool, box, flat, lattice):
 
     Depth sideways, the level normal into the object, and the point of the tool in the world; the same of the steep one,
     whose normal has three parts. A steep one that is less deep than a level one does nothing, and may be left out.
+    """
+    bounded(frame, after, tool, box)
+    return met_within(frame, after, tool, False, flat, lattice)
+
+
+@bare
+def met_within(frame, after, tool, any_does, flat, lattice):
+    """What `met` gives of a tool that was bounded for the object; where any does, the first that is inside ends it.
+
     The group that can be deepest in it comes first, so that few of the others are left that could be deeper.
     """
-    groups, most = tool[1], tool[2]
-    cos, sin = math.cos(after[2]), math.sin(after[2])
-    there = tool_in(frame, after, cos, sin)
+    most, near, apart = tool[2], tool[3], tool[4]
     level, steep = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (-GRAZE_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    best, first, count = (-1, -1), 0, len(most)
-    _bound(there, groups, box, most)
-    for group in range(count):
-        first = group if most[group] > most[first] else first
+    best, first, count = (-1, -1), 0, _near(tool)
+    if count == 0:
+        return level, steep
+    there = _tool_in(frame, after)
+    for place in range(0, count, GROUP):
+        _apart(place, there, tool, flat, lattice)
+    for place in range(1, count):
+        first = place if most[near[place]] > most[near[first]] else first
     for turn in range(-1, count):
-        group, counts = first if turn < 0 else turn, _counts(level, steep)
-        if turn == first or most[group] + _ROUNDED_M < counts:
+        place, counts = first if turn < 0 else turn, _counts(level, steep)
+        group = near[place]
+        if turn == first or most[group] + _ROUNDED_M < counts or apart[place] > -counts:
             continue
-        if not _apart(there, group, groups, count, flat, lattice) > -counts:
-            level, steep, best = _deepest(
-                group, level, steep, best, frame, there, (after, cos, sin), tool, flat, lattice
-            )
+        level, steep, best = _deepest(group, level, steep, best, frame, there, after, tool, flat, lattice)
+        if any_does and (level[0] > 0.0 or steep[0] > 0.0):
+            break
     return level, steep
 
 
@@ -207,12 +257,16 @@ def _counts(level, steep):
 
 
 @bare
-def _deepest(group, level, steep, best, frame, there, placed_at, tool, flat, lattice):
+def _deepest(group, level, steep, best, frame, there, after, tool, flat, lattice):
     """Contacts, and their points, with those of one more group; of two points as deep it is the first."""
-    points, found = tool[0], tool[3]
-    after, cos, sin = placed_at
-    begin, count = GROUP * group, len(points) // 3
+    points, found = tool[0], tool[5]
+    begin, count, counts, some = GROUP * group, len(points) // 3, _counts(level, steep), 0
     _depths(begin, there, points, found, flat, lattice)
+    for k in range(GROUP):
+        some += 1 if found[k] >= counts else 0
+    if some == 0:
+        return level, steep, best
+    cos, sin = after[4], after[5]
     for _ in range(GROUP):
         most = 0
         for k in range(1, GROUP):

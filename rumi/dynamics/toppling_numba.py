@@ -5,9 +5,9 @@ import math
 from rumi.dynamics.sliding_numba import settled, turned, twist
 from rumi.dynamics.steep_contact import LEAST_M, OFF_M, RISES, SHARE
 from rumi.dynamics.tool_contact import GRAZE_M
-from rumi.dynamics.tool_contact_numba import met, placed
+from rumi.dynamics.tool_contact_numba import bounded, met, met_within, placed, placed_at
 from rumi.dynamics.toppling import ACROSS, HALVES, INSTANT_S, LANDS_RAD, MOST_M, PASSES, RATE, STICKS, SWINGS, TILTS
-from sdf.compiled import bare
+from sdf.compiled import bare, inlined
 
 
 @bare
@@ -23,15 +23,15 @@ def _far(way):
 
 
 @bare
-def _lever(x, y, yaw, rest, edge, steep, depth, friction, way, rests):
+def _lever(x, y, turn, rest, edge, steep, depth, friction, way, rests):
     """What a steep contact does about an edge.
 
     Metres that it goes inward for each radian of tilt, lever of its force with friction over the weight's, metres that
     the tool goes outward, the way over the edge; whether the tool that rises takes the contact along, and radians that
-    it tilts and metres that the edge slides outward then.
+    it tilts and metres that the edge slides outward then. `turn` is the cosine and sine of the object's yaw.
     """
     centre, point, normal = rests[2], rests[4], rests[5]
-    c, s = math.cos(yaw), math.sin(yaw)
+    c, s = turn
     out_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
     out_y = s * normal[rest, edge, 0] + c * normal[rest, edge, 1]
     off = (point[rest, edge, 0] - centre[rest, 0]) * normal[rest, edge, 0]
@@ -69,12 +69,12 @@ def _levered(x, y, yaw, rest, most, steep, friction, way, rests):
     chosen, tilt, way_out_x, way_out_y, slides, best = -1, 0.0, 0.0, 0.0, 0.0, SHARE
     if not (steep[0] > most or (steep[0] > -GRAZE_M and not most > 0.0)):
         return chosen, tilt, way_out_x, way_out_y, slides
-    tip = rests[6]
+    tip, turn = rests[6], (math.cos(yaw), math.sin(yaw))
     high = max(steep[6], LEAST_M)
     for edge in range(tip.shape[1]):
         if not tip[rest, edge] < math.inf:
             continue
-        done = _lever(x, y, yaw, rest, edge, steep, most, friction, way, rests)
+        done = _lever(x, y, turn, rest, edge, steep, most, friction, way, rests)
         lifts, arm, drag, out_x, out_y, carries, carried, slid = done
         lifted = (lifts > LEAST_M or carries) and steep[0] > most
         dragged = not lifts > LEAST_M and steep[0] > -GRAZE_M and not most > 0.0 and steep[3] < 0 and drag > 0
@@ -114,8 +114,10 @@ def _presses(lifts, steep, depth, soft):
 def _held_down(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
     """Edge and tilt as far as the tool above lets an object rise."""
     tool, box, rests, flat, lattice = scene
-    level, steep = met(placed(x, y, yaw, rest, edge, tilt, rests), after, tool, box, flat, lattice)
-    lifts = _lever(x, y, yaw, rest, edge, steep, level[0], friction, _way(before, after), rests)[0]
+    turn = (math.cos(yaw), math.sin(yaw))
+    frame = placed_at(x, y, turn[0], turn[1], rest, edge, tilt, rests)
+    level, steep = met(frame, after, tool, box, flat, lattice)
+    lifts = _lever(x, y, turn, rest, edge, steep, level[0], friction, _way(before, after), rests)[0]
     if _presses(lifts, steep, level[0], soft):
         tilt += (steep[0] - soft) / lifts
     return (edge, tilt) if tilt > 0.0 else (-1, 0.0)
@@ -125,13 +127,13 @@ def _held_down(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene
 def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
     """Pose, edge and tilt of an object that leans on the tool where it is now."""
     tool, box, rests, flat, lattice = scene
-    way, touched = _way(before, after), False
+    way, touched, c, s = _way(before, after), False, math.cos(yaw), math.sin(yaw)
     for turn in range(TILTS):
-        frame = placed(x, y, yaw, rest, edge, tilt, rests)
+        frame = placed_at(x, y, c, s, rest, edge, tilt, rests)
         level, steep = met(frame, after, tool, box, flat, lattice)
         depth = level[0]
         inside = depth > 0.0 or steep[0] > 0.0
-        done = _lever(x, y, yaw, rest, edge, steep, depth, friction, way, rests)
+        done = _lever(x, y, (c, s), rest, edge, steep, depth, friction, way, rests)
         lifts, arm, drag, out_x, out_y, carries, carried, slides = done
         dragged = not lifts > LEAST_M and steep[0] > -GRAZE_M and not depth > 0.0 and steep[3] < 0
         dragged = turn == 0 and dragged and drag > 0 and arm > SHARE
@@ -154,8 +156,9 @@ def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
     low, high = 0.0, tilt
     for turn in range(HALVES):
         middle = low if turn == 0 else 0.5 * (low + high)
-        frame = placed(x, y, yaw, rest, edge, middle, rests)
-        level, steep = met(frame, after, tool, box, flat, lattice)
+        frame = placed_at(x, y, c, s, rest, edge, middle, rests)
+        bounded(frame, after, tool, box)
+        level, steep = met_within(frame, after, tool, True, flat, lattice)
         if level[0] > 0.0 or steep[0] > 0.0:
             low = middle
         else:
@@ -193,12 +196,11 @@ def _slid(x, y, yaw, rest, level, before, after, body, scene):
     sliding = (centre_x, centre_y, body[3] * spread[rest], body[4], 0.0, 0.0, 0.0, 0.0, 0.0)
     for turn in range(PASSES):
         if turn > 0:
-            frame = placed(x, y, yaw, rest, -1, 0.0, rests)
+            frame = placed_at(x, y, c, s, rest, -1, 0.0, rests)
             (depth, in_x, in_y, at_x, at_y, _), _ = met(frame, after, tool, box, flat, lattice)
             if not depth > 0.0:
                 break
-        c, s = math.cos(yaw), math.sin(yaw)
-        x, y, yaw, _, _ = settled(
+        x, y, yaw, c, s = settled(
             x,
             y,
             yaw,
@@ -252,11 +254,12 @@ def _gone(dx, dy, turned, m_per_rad):
     return size, 0.0, 0.0
 
 
-@bare
-def pushed(state, before, after, body, firm, sizes, scene):
+@inlined
+def pushed(state, frame, before, after, body, firm, sizes, scene):
     """Object after one small motion of the tool, the size of it that its noise goes by, and its direction.
 
-    `state` is (x, y, yaw, resting pose, edge, tilt); `body` centre of friction, pressure ahead, lever, friction, how
+    `state` is (x, y, yaw, resting pose, edge, tilt), and `frame` where that has it, for which the tool was `bounded` if
+    it leans on nothing; `body` centre of friction, pressure ahead, lever, friction, how
     far the tool goes into it from above, and the share of its way that it drags the top along; `firm` the tilt at which
     it falls over, as a share; `sizes` what a radian, a fall and a tilted instant's way count as; `scene` tool, box of
     its contacts, resting poses and table of distances.
@@ -274,8 +277,10 @@ def pushed(state, before, after, body, firm, sizes, scene):
         else:
             x, y, edge, tilt = _leant(x, y, yaw, rest, edge, tilt, before, after, body[4], body[5], scene)
     if edge < 0:
-        frame = placed(x, y, yaw, rest, -1, 0.0, rests)
-        level, steep = met(frame, after, tool, box, flat, lattice)
+        if state[4] >= 0:
+            frame = placed(x, y, yaw, rest, -1, 0.0, rests)
+            bounded(frame, after, tool, box)
+        level, steep = met_within(frame, after, tool, False, flat, lattice)
         if not (level[0] > 0.0 or steep[0] > -GRAZE_M):
             return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         edge, tilt, unit_x, unit_y, slides = _levered(
