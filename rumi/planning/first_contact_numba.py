@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import fast, lattice_of, value
+from sdf.grid_numba import exact, fast, lattice_of, value
 from sdf.intrinsics_numba import at, put
 from sdf.part_numba import indices
 
@@ -17,9 +17,8 @@ _UNEVEN_M = 1e-3  # by which a table's distances may change more than a point mo
 
 
 @fast
-def _tool_in(m, n, x, y, z, yaw):
-    """Rotation, row by row, and place of the tool in the frame of object n."""
-    c, s = math.cos(yaw), math.sin(yaw)
+def _tool_in(m, n, x, y, z, c, s):
+    """Rotation, row by row, and place of the tool in the frame of object n; c, s are of the tool's yaw."""
     a, b = m[n, 0], m[n, 1]
     d, e = m[n, 4], m[n, 5]
     g, h = m[n, 8], m[n, 9]
@@ -55,17 +54,32 @@ def _apart(tool, points, first, count, size, flat, lattice, found):
         put(found, index, distance)
 
 
+@exact
+def _measure(way, count, radius, told):
+    """What all objects share of a way's steps: cosine and sine of the yaw, and how far each takes the tool at most."""
+    for step in range(count):
+        told[0, step], told[1, step], told[2, step] = math.cos(way[step, 3]), math.sin(way[step, 3]), 0.0
+        if step > 0:
+            dx, dy = way[step, 0] - way[step - 1, 0], way[step, 1] - way[step - 1, 1]
+            dz, turn = way[step, 2] - way[step - 1, 2], way[step, 3] - way[step - 1, 3]
+            told[2, step] = math.sqrt(dx * dx + dy * dy + dz * dz) + radius * abs(turn)
+
+
 def _first_contacts(ways, steps, rows, points, spheres, numbers, grid, step, point, looked, part):
     lattice, flat = lattice_of(grid[1], grid[2]), grid[0]
     near, radius, let_go, groups, poses = numbers[0], numbers[1], numbers[2], len(spheres) // 4, len(rows)
     size = len(points) // (3 * groups)
     bounds, distances = np.empty(groups, np.float32), np.empty(size, np.float32)
+    told, measured = np.empty((3, ways.shape[1]), np.float32), np.int64(-1)
     for pair in indices(part, len(steps) * poses):
-        k, n = pair // poses, pair % poses
+        k, n = np.int64(pair // poses), pair % poses
+        if k != measured:
+            _measure(ways[k], steps[k], radius, told)
+            measured = k
         last, now, asked, found = steps[k], np.int64(0), 0, np.int64(0)
         floor = near  # what is nearer than this is a contact; less while the tool lets go
         while now < last:
-            tool = _tool_in(rows, n, ways[k, now, 0], ways[k, now, 1], ways[k, now, 2], ways[k, now, 3])
+            tool = _tool_in(rows, n, ways[k, now, 0], ways[k, now, 1], ways[k, now, 2], told[0, now], told[1, now])
             asked += 1
             clear, deepest = np.float32(1e9), near
             met = np.int64(-1)
@@ -90,9 +104,7 @@ def _first_contacts(ways, steps, rows, points, spheres, numbers, grid, step, poi
             room, went = clear - near - np.float32(_UNEVEN_M), np.float32(0.0)
             now += 1
             while now < last:
-                dx, dy = ways[k, now, 0] - ways[k, now - 1, 0], ways[k, now, 1] - ways[k, now - 1, 1]
-                dz, turn = ways[k, now, 2] - ways[k, now - 1, 2], ways[k, now, 3] - ways[k, now - 1, 3]
-                went += math.sqrt(dx * dx + dy * dy + dz * dz) + radius * abs(turn)
+                went += told[2, now]
                 if went > room:
                     break
                 now += 1
