@@ -16,6 +16,7 @@ _LOG2_E = 1.0 / math.log(2.0)
 # ln 2 in two parts, of which a whole number times the first is exact
 _LN2_HIGH = 0.693145751953125
 _LN2_LOW = math.log(2.0) - _LN2_HIGH
+_MANY = 16  # points from which on vector instructions are full of them; of fewer points they are filled with poses
 _SERIES = tuple(1.0 / math.factorial(k) for k in range(14))
 
 
@@ -90,8 +91,8 @@ def _from_to(a, b):
 
 
 @block
-def _carried(points, room, m, pose):
-    x, y, z = at(points, m), at(points, room + m), at(points, 2 * room + m)
+def _carried(x, y, z, pose):
+    """A point in the frame that a pose of twelve numbers leads to."""
     return (
         pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
         pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
@@ -104,7 +105,7 @@ def _pair(points, count, pose, flat, lattice, tolerance, distances):
     """How far each point is beyond the tolerance; gives the sum of the distances."""
     zero = total = flat.dtype.type(0.0)
     for m in range(count):
-        x, y, z = _carried(points, count, m, pose)
+        x, y, z = _carried(at(points, m), at(points, count + m), at(points, 2 * count + m), pose)
         distance = abs(value(x, y, z, flat, lattice))
         total += distance
         excess = distance - tolerance
@@ -122,11 +123,11 @@ def _mix(mixture, weight, sharpness, distances):
 @exact
 def _log_likelihood(points, m, poses, truth, log_weights, flat, lattice, sharpness, tolerance):
     """The same of one point by logarithms, where no float holds the sum."""
-    most = -math.inf
+    most, room = -math.inf, len(points) // 3
     logs = np.empty(len(poses))
     for i in range(len(poses)):
         pose = _from_to(poses[i], truth)
-        x, y, z = _carried(points, len(points) // 3, m, pose)
+        x, y, z = _carried(at(points, m), at(points, room + m), at(points, 2 * room + m), pose)
         excess = np.float64(abs(value(x, y, z, flat, lattice)) - tolerance)
         logs[i] = log_weights[i] - sharpness * max(excess, 0.0)
         most = max(most, logs[i])
@@ -136,21 +137,95 @@ def _log_likelihood(points, m, poses, truth, log_weights, flat, lattice, sharpne
     return most + math.log(total)
 
 
+@block
+def _relative(poses, truth, relative):
+    """Twelve numbers of each pose^-1 truth, number by number."""
+    each = len(poses)
+    for i in range(each):
+        pose = _from_to(poses[i], truth)
+        for k in range(12):
+            relative[k * each + i] = pose[k]
+
+
+@block
+def _of(relative, each, i):
+    """Twelve numbers of one of so many poses."""
+    return (
+        at(relative, i),
+        at(relative, each + i),
+        at(relative, 2 * each + i),
+        at(relative, 3 * each + i),
+        at(relative, 4 * each + i),
+        at(relative, 5 * each + i),
+        at(relative, 6 * each + i),
+        at(relative, 7 * each + i),
+        at(relative, 8 * each + i),
+        at(relative, 9 * each + i),
+        at(relative, 10 * each + i),
+        at(relative, 11 * each + i),
+    )
+
+
+@fast
+def _across(x, y, z, relative, flat, lattice, tolerance, sharpness, distances, likely):
+    """Distance and likelihood of a point by each of many poses."""
+    zero, each = flat.dtype.type(0.0), len(likely)
+    for i in range(each):
+        u, v, w = _carried(x, y, z, _of(relative, each, i))
+        distance = abs(value(u, v, w, flat, lattice))
+        put(distances, i, distance)
+        excess = distance - tolerance
+        put(likely, i, decay(-sharpness * (excess if excess > zero else zero)))
+
+
+@exact
+def _add(totals, distances):
+    """Adds a distance to each total."""
+    for i in range(len(totals)):
+        totals[i] += distances[i]
+
+
+@block
+def _mixed(weights, likely):
+    """Sum of likelihoods by weight, one after the other, as `_mix` adds them up."""
+    total = likely.dtype.type(0.0)
+    for i in range(len(likely)):
+        total += weights[i] * likely[i]
+    return total
+
+
 def _self_agreement(poses, log_weights, truths, points, grid, sharpness, tolerance, nll, distance, part):
     flat, numbers, sizes = grid
     batch, each = nll.shape
-    count = len(points) // 3
+    count, believed = len(points) // 3, poses.shape[1]
+    mixture, distances = np.empty(count, flat.dtype), np.empty(max(count, believed), flat.dtype)
+    relative, totals = np.empty(12 * believed, flat.dtype), np.empty(believed, flat.dtype)
+    weights, likely = np.empty(believed, flat.dtype), np.empty(believed, flat.dtype)
+    weighed = np.int64(-1)
     for row in indices(part, batch * each):
-        b, j = row // each, row % each
+        b, j = np.int64(row // each), row % each
+        if b != weighed:
+            weighed = b
+            for i in range(believed):
+                weights[i] = math.exp(log_weights[b, i])
         lattice = lattice_of(numbers, sizes)
-        mixture, distances = np.zeros(count, flat.dtype), np.empty(count, flat.dtype)
-        total = 0.0
-        truth, believed = truths[b, j], poses.shape[1]
-        for i in range(believed):
-            pose = _from_to(poses[b, i], truth)
-            weight = flat.dtype.type(math.exp(log_weights[b, i]))
-            total += _pair(points, count, pose, flat, lattice, tolerance, distances)
-            _mix(mixture, weight, sharpness, distances)
+        total, truth = 0.0, truths[b, j]
+        if count < _MANY:
+            _relative(poses[b], truth, relative)
+            totals[:] = 0.0
+            for m in range(count):
+                x, y, z = points[m], points[count + m], points[2 * count + m]
+                _across(x, y, z, relative, flat, lattice, tolerance, sharpness, distances, likely)
+                _add(totals, distances)
+                mixture[m] = _mixed(weights, likely)
+            for i in range(believed):
+                total += totals[i]
+        else:
+            mixture[:] = 0.0
+            for i in range(believed):
+                pose = _from_to(poses[b, i], truth)
+                total += _pair(points, count, pose, flat, lattice, tolerance, distances)
+                _mix(mixture, weights[i], sharpness, distances)
         distance[b, j] = total / (believed * max(count, 1))
         log = 0.0
         for m in range(count):
