@@ -121,7 +121,8 @@ def test_rows_of_a_batch_equal_scenes_alone():
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64], ids=["single", "double"])
 @pytest.mark.parametrize("spread", [1.0, 100.0, 0.0])
-def test_versions_agree(dtype, spread):
+@pytest.mark.parametrize("points", [POINTS, torch.cat([share * POINTS for share in (0.2, 0.5, 0.8, 1.0, 1.1)])])
+def test_versions_agree(dtype, spread, points):
     table = GridSDF.from_sdf(BOX.to(dtype), 0.004)
     belief = random_belief(9, batch=(2,))
     pose = belief.attached_T_object.clone()
@@ -130,7 +131,7 @@ def test_versions_agree(dtype, spread):
     found = []
     for name in ("torch", "numba"):
         with backend.force(name):
-            found.append(self_agreement(belief, POINTS.to(dtype), table))
+            found.append(self_agreement(belief, points.to(dtype), table))
     BOX.double()
     single = dtype == torch.float32
     close = {"rtol": 2e-5 if single else 1e-11, "atol": 2e-4 if single else 1e-10}
