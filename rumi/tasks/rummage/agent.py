@@ -33,6 +33,7 @@ from rumi.tasks.rummage.approach import shortened
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
 from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.first_belief import first_belief
+from rumi.tasks.rummage.last_word import last_word
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
 from rumi.tasks.rummage.lost import SLIDES, sensed_now, told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
@@ -234,14 +235,7 @@ class Rummager:
         if now.set_aside or (alarm is not None and not now.lost):
             with clock("belief"):
                 belief, memory = searched_again(
-                    last,
-                    record,
-                    memory,
-                    pose_filter,
-                    self.misfit,
-                    now,
-                    before=state.memory,
-                    generator=random["lost"],
+                    last, record, memory, pose_filter, self.misfit, now, before=state.memory, generator=random["lost"]
                 )
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
@@ -250,7 +244,7 @@ class Rummager:
         if self.pushes is not None and touched and self.filter.settings.motion in _TOLD:
             with clock("pushes"):
                 pushes = learnt_pushes(self.pushes, history, self._body, generator=random["pushes"])
-        return replace(
+        after = replace(
             state,
             record=record,
             history=history,
@@ -260,6 +254,10 @@ class Rummager:
             watch=now,
             pushes=pushes,
         )
+        if self.remarks and record.step == self.steps and self.stop(after) == "steps":
+            now, record = last_word(now, record, self.filter, self.misfit)
+            after = replace(after, record=record, history=(*state.history, record), watch=now)
+        return after
 
     def _borne_out(self, history: Sequence[StepRecord]) -> bool:
         """Whether the belief is sure, and has stayed so through as many further touches as the stop rule asks for."""

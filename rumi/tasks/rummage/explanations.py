@@ -1,6 +1,6 @@
 """What a run may be lost by: prior shares of the explanations, and what an alarm is named."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TypeGuard
 
 import torch
@@ -70,6 +70,20 @@ def faults_of(pose_filter: PoseFilter) -> Mapping[str, float]:
     if follows(pose_filter):
         return PRIOR
     return IN_SPACE if isinstance(pose_filter, IslandFilter) else _MISFITS
+
+
+def all_faults_of(pose_filter: PoseFilter) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """Names of all that a run by a filter may be lost by, those from the first view on last, and prior shares."""
+    shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
+    return tuple(name for name, _ in shares), tuple(share for _, share in shares)
+
+
+def chances_by_name(test: ChangeTest, evidence: ChangeEvidence, names: Sequence[str]) -> dict[str, float]:
+    """Posterior of no fault and of each fault by name; what is told in two ways has the sum."""
+    chances = dict.fromkeys(["no fault", *names], 0.0)
+    for name, chance in zip(["no fault", *names], chances_of(test, evidence), strict=True):
+        chances[name] += chance
+    return chances
 
 
 def named(chances: Mapping[str, float]) -> tuple[str, float]:

@@ -24,10 +24,9 @@ from rumi.tasks.rummage.explanations import (
     HAND_OR_CAMERA,
     NOTHING_FELT,
     SEARCHED,
-    STATIC,
     UNFELT,
-    chances_of,
-    faults_of,
+    all_faults_of,
+    chances_by_name,
     follows,
     named,
 )
@@ -111,8 +110,8 @@ def watch(
     open_yet = before.named in (None, *UNFELT)  # what was only not felt may be felt again
     if own.alpha == 0 or (before.lost and not open_yet):
         return replace(before, nats=0.0, p_value=1.0, set_aside=False), None
-    shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
-    names, test = [name for name, _ in shares], ChangeTest(tuple(share for _, share in shares), own.alpha)
+    names, shares = all_faults_of(pose_filter)
+    test = ChangeTest(shares, own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
     steps = (*history, record) if history else (last, record)
     of_action, repeated = _ratios(steps, pose_filter, model, own, generator, looks_again)
@@ -127,9 +126,7 @@ def watch(
         ratios = _all_ratios(before, of_action, static, names)
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
-    chances = dict.fromkeys(["no fault", *names], 0.0)
-    for name, chance in zip(["no fault", *names], chances_of(test, evidence), strict=True):
-        chances[name] += chance
+    chances = chances_by_name(test, evidence, names)
     after = replace(
         before,
         evidence=evidence,

@@ -25,6 +25,7 @@ from tests.fixtures.made_up_run import make_up
 
 OWN = MisfitSettings()
 MADE_UP = make_up(2, particles=2)
+ALL = (*PRIOR, *STATIC), (*PRIOR.values(), *STATIC.values())
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +144,7 @@ def test_an_alarm_by_a_rival_is_asked_again(model, pose_filter, monkeypatch, aga
         return (), dict.fromkeys(STATIC, -math.inf) | {"hand off": nats}
 
     monkeypatch.setattr(lost, "follows", lambda _: True)
-    monkeypatch.setattr(lost, "faults_of", lambda _: PRIOR)
+    monkeypatch.setattr(lost, "all_faults_of", lambda _: ALL)
     monkeypatch.setattr(lost, "_ratios", lambda *_: (torch.zeros(len(PRIOR), dtype=torch.float64), 0.0))
     monkeypatch.setattr(lost, "_rivals", lambda *_: told(20.0))
     monkeypatch.setattr(lost, "_asked_again", lambda *_: told(again))
@@ -157,7 +158,7 @@ def test_a_reading_with_a_false_touch_that_is_no_fault_is_left_out_and_told(mode
     ratios = torch.zeros(len(PRIOR), dtype=torch.float64)
     ratios[list(PRIOR).index("false contacts")] = 3.0
     monkeypatch.setattr(lost, "follows", lambda _: True)
-    monkeypatch.setattr(lost, "faults_of", lambda _: PRIOR)
+    monkeypatch.setattr(lost, "all_faults_of", lambda _: ALL)
     monkeypatch.setattr(lost, "_ratios", lambda *_: (ratios, 0.0))
     monkeypatch.setattr(lost, "_rivals", lambda *_: (None, dict.fromkeys(STATIC, 0.0)))
     last, record = step(model, 1, 0.0), step(model, 2, 0.3)
