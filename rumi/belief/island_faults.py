@@ -25,7 +25,9 @@ from rumi.belief.segments import cut, felt_pads, path_of, pushed
 from rumi.belief.stuck_hand import Told
 from rumi.belief.trajectory_faults import (
     ALIKE,
+    AN_INSTANT,
     FALSE,
+    UNMET_M,
     by_false_contacts,
     log_beside,
     log_knocked,
@@ -37,6 +39,7 @@ from rumi.belief.trajectory_faults import (
 from rumi.belief.trajectory_history import History
 from rumi.resampling import systematic
 from sensors.reading import Reading
+from sensors.semantics import Semantics
 
 ISLAND_FAULTS = ("knocked", "absent", "dead hand", "false contacts", "second object", "stuck hand")
 """The object is elsewhere near by; it is gone; the hand feels nothing; it feels what is not there, briefly; something
@@ -45,6 +48,7 @@ else is felt where the object is not; the hand feels the same all the time."""
 _TELLS = 1.0  # nats: that silence is unlikely by from which on it is asked about; of a hand that repeats itself
 _UNLIKELY = -12.0  # nats of an action with contact; at the true poses hardly any is below (results/push_models.md)
 _AS_FELT = -2.0  # nats of a knock by an action with contact that is likely without one; -3 in the median
+_ASKED_FIRST, _FEW = 1000, 0.05  # the same at a first touch, and share of them that may have one where it is false
 _ASKED, _TRACKS = 100, 24  # particles of a population that are asked where they have a surface, and which points tell
 
 
@@ -110,6 +114,8 @@ def _densities(
     (before, log_weights), (after, _) = pose_filter.particles_of(last), pose_filter.particles_of(now)
     faults, felt = dict.fromkeys(ISLAND_FAULTS, 0.0), bool(reading.in_contact.any())
     none, new = after.log_evidence - before.log_evidence, new_segments(before, after)
+    if before.apart and _is_brief(reading):
+        faults |= _first_touch_of_nothing(before, log_weights, reading, pose_filter, own)
     if not new and (before.apart or not after.apart):  # nothing sensed, or a first touch that fits none
         return _Densities(none, faults, none)
     expected = after
@@ -126,9 +132,8 @@ def _densities(
         return _Densities(none, faults, none)
     as_stated = none
     if felt:
-        some = expected.at(systematic(torch.zeros(len(expected), dtype=torch.float64), 0.5, _ASKED))
-        unmet = unmet_instants(some, history, pose_filter.model)
-        against = by_false_contacts(len(unmet), own, stated_false(history, pose_filter.own))
+        unmet = unmet_instants(_asked(expected), history, pose_filter.model)
+        against = by_false_contacts(len(unmet), own, stated_false(len(history.tool), pose_filter.own))
         faults |= {"false contacts": against, "second object": math.log1p(-FALSE)}
         if unmet:
             strange, rest = log_beside(before, log_weights, history, unmet, pose_filter, generator)
@@ -142,6 +147,48 @@ def _densities(
     elif felt:
         faults["knocked"] = _AS_FELT
     return _Densities(none, faults, as_stated)
+
+
+def false_touch(ratios: Float[Tensor, "K"], reading: Reading, pose_filter: IslandFilter) -> bool:
+    """Whether what an action felt is most likely a touch as pads are stated to feel it falsely now and then.
+
+    Args:
+        ratios: of the action, of `ISLAND_FAULTS`.
+        reading: of the action.
+        pose_filter: of the belief.
+    """
+    told = float(ratios[ISLAND_FAULTS.index("false contacts")]) > _TELLS
+    return told and _is_brief(reading) and pose_filter.own.false > 0
+
+
+def _is_brief(reading: Reading) -> bool:
+    return 0 < int(reading.in_contact.sum()) <= AN_INSTANT
+
+
+def _first_touch_of_nothing(
+    before: Trajectories,
+    log_weights: Float[Tensor, "M"],
+    reading: Reading,
+    pose_filter: IslandFilter,
+    own: MisfitSettings,
+) -> Mapping[str, float]:
+    """Ratio of false contacts by a brief first touch; none where more than a few particles have a surface there.
+
+    A prior reaches far: no place is without any particle, and a brief touch of few is less likely than a false one.
+    """
+    model, sensed = pose_filter.model, pose_filter.own
+    poses = before.pose[systematic(log_weights, 0.5, min(_ASKED_FIRST, len(before)))]
+    points = reading.observation.points[reading.observation.of_class(Semantics.SURFACE)]
+    off = model.sdf.distance(model.local(poses, points.to(poses)).to(model.sdf.bounds)).abs().median(-1).values
+    if float((off <= UNMET_M).double().mean()) > _FEW:
+        return {}
+    stated = stated_false(len(reading.tool_pose), sensed)
+    return {"false contacts": by_false_contacts(int(reading.in_contact.sum()), own, stated)}
+
+
+def _asked(now: Trajectories) -> Trajectories:
+    """Some of as many equally weighted particles, which are asked where they have a surface."""
+    return now.at(systematic(torch.zeros(len(now), dtype=torch.float64), 0.5, _ASKED))
 
 
 def _history(

@@ -57,8 +57,8 @@ _UNLIKELY = 5.0  # nats that an action is unlikely by, from which on that is wor
 _APART_M = 0.01  # between places of the hand that feel something at one instant and the next, where it is not the same
 _TELLS = 1.0  # nats that a reading is short of what fits best, from which on something can be told from it
 _BRIEF = 0.8, 0.1  # chance that a false contact, and a true one, lasts for two instants at most
-_AN_INSTANT, _PADS = 2, 2  # instants that a brief contact lasts at most, and pads of a hand
-_UNMET_M = 0.012  # from the surface of every particle: what is felt there is felt by none
+AN_INSTANT, _PADS = 2, 2  # instants that a brief contact lasts at most, and pads of a hand
+UNMET_M = 0.012  # from the surface of every particle: what is felt there is felt by none
 _STRAINED = 15.0  # nats that an action is unlikely by, from which on the push model is asked about
 _USUAL = 0.5  # share of the actions of a wrong push model that look as usual
 _HIDDEN = 0.05  # chance that a camera sees nothing of an object that is there
@@ -117,7 +117,7 @@ def log_ratios(
     if felt:
         unmet = unmet_instants(after, history, model)
         told |= {
-            "false contacts": by_false_contacts(len(unmet), own, stated_false(history, sensed)),
+            "false contacts": by_false_contacts(len(unmet), own, stated_false(len(history.tool), sensed)),
             "push model off": math.log(_USUAL),
             "second object": math.log1p(-FALSE),
         }
@@ -156,15 +156,20 @@ def by_false_contacts(unmet: int, own: MisfitSettings, stated: float) -> float:
     """
     if not unmet:
         return math.log1p(-FALSE)
-    brief = unmet <= _AN_INSTANT
+    brief = unmet <= AN_INSTANT
     lasts, lasts_else = _BRIEF if brief else (1.0 - _BRIEF[0], 1.0 - _BRIEF[1])
     none = own.outlier * lasts_else + (stated if brief else 0.0)
     return math.log(FALSE * lasts / none)
 
 
-def stated_false(history: History, sensed: PoseTrajectorySettings) -> float:
-    """Chance that pads which are as they are stated to be feel something false in an action."""
-    return -math.expm1(_PADS * len(history.tool) * math.log1p(-sensed.false))
+def by_brief_touch(own: MisfitSettings, stated: float) -> float:
+    """Log-likelihood ratio of something unknown that is felt briefly, against pads that feel falsely as stated."""
+    return math.log(_BRIEF[1] / (own.outlier * _BRIEF[1] + stated))
+
+
+def stated_false(instants: int, sensed: PoseTrajectorySettings) -> float:
+    """Chance that pads which are as they are stated to be feel something false in an action of so many instants."""
+    return -math.expm1(_PADS * instants * math.log1p(-sensed.false))
 
 
 def _repeats(last: Reading, reading: Reading, pose_filter: PoseTrajectoryFilter) -> bool:
@@ -223,7 +228,7 @@ def unmet_instants(after: Trajectories, history: History, model: Pushed) -> list
                 continue
             off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)).abs().median(-1).values
             place = _on_hand(points, history.tool[instant, 1])
-            met = float(off.min()) <= _UNMET_M
+            met = float(off.min()) <= UNMET_M
             if met or (held is not None and float((held - place).norm()) < _APART_M):
                 held = place
             else:
@@ -240,7 +245,7 @@ def last_contact_off(after: Trajectories, new: int, pose_filter: PoseTrajectoryF
     history, model = after.history, pose_filter.model
     false = unmet_instants(after, history.since(len(history) - new), model) if new and pose_filter.own.false else []
     before = int(history.ends[len(history) - new - 1]) if new < len(history) else 0
-    strange = {before + instant for instant in false} if len(false) <= _AN_INSTANT else set()
+    strange = {before + instant for instant in false} if len(false) <= AN_INSTANT else set()
     for segment in reversed(range(len(history) - new, len(history))):
         begin, end = (int(history.ends[at]) if at >= 0 else 0 for at in (segment - 1, segment))
         for instant in reversed(range(begin, end)):

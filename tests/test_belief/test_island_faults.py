@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from rumi.belief.change_test import ChangeTest
-from rumi.belief.island_faults import ISLAND_FAULTS, log_ratios
+from rumi.belief.island_faults import ISLAND_FAULTS, false_touch, log_ratios
 from rumi.belief.island_filter import IslandFilter, islands_of, mixture
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.predicted_action import log_evidence
 from rumi.belief.stuck_hand import Told
-from rumi.belief.trajectory_faults import ALIKE
+from rumi.belief.trajectory_faults import ALIKE, by_brief_touch
 from rumi.seeding import generator
 from rumi.tasks.rummage.explanations import IN_SPACE
 from sdf import se3
@@ -169,3 +169,30 @@ def test_one_touch_of_nothing_is_no_fault_where_pads_are_stated_to_have_some(box
         ratios = torch.tensor([ratio.get(name, 0.0) for name in IN_SPACE], dtype=torch.float64)
         alarms.append(bool(test.alarm(test.update(test.begin(), ratios))))
     assert alarms == [True, False]
+
+
+@pytest.mark.parametrize(("away", "false", "is_false"), [(0.3, 2e-4, True), (0.3, 0.0, False), (0.0, 2e-4, False)])
+def test_a_brief_first_touch_where_hardly_any_of_the_prior_is_may_be_false(box, prior, away, false, is_false):
+    """Pads feel falsely by .0002 an instant each: by 1 - .9998^(2 * 12) an action, and a touch is brief by .1."""
+    filtering = follow(box, prior, IslandFilter, unseen_particles=900, islands=3, false=false)
+    there = PLACE - torch.tensor([away, 0.0, 0.0], dtype=torch.float64)
+    reading = felt_by(box, pose(prior, there), towards(-0.057 - away, count=12))
+    assert 0 < int(reading.in_contact.sum()) <= 2
+    before = begin(filtering, prior)[0]
+    ratio, _ = told(filtering, before, reading)
+    stated = 1.0 - (1.0 - false) ** 24
+    expected = math.log(0.3 * 0.8 / (0.001 * 0.1 + stated)) if away else 0.0
+    assert ratio["false contacts"] == pytest.approx(expected)
+    ratios = torch.tensor([ratio[name] for name in ISLAND_FAULTS])
+    assert false_touch(ratios, reading, filtering) == is_false
+    assert by_brief_touch(MisfitSettings(), stated) == pytest.approx(math.log(0.1 / (0.001 * 0.1 + stated)))
+
+
+def test_a_long_first_touch_is_never_false(box, prior):
+    filtering = follow(box, prior, IslandFilter, unseen_particles=900, islands=3, false=2e-4)
+    there = PLACE - torch.tensor([0.3, 0.0, 0.0], dtype=torch.float64)
+    path = towards(-0.35, count=6)
+    reading = felt_by(box, pose(prior, there), torch.cat((path, path[-1:].expand(4, 4))))
+    assert int(reading.in_contact.sum()) > 2
+    ratio, _ = told(filtering, begin(filtering, prior)[0], reading)
+    assert ratio["false contacts"] == 0.0

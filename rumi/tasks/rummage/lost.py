@@ -115,7 +115,7 @@ def watch(
     evidence = test.begin() if before.evidence is None else before.evidence
     steps = (*history, record) if history else (last, record)
     of_action, repeated = _ratios(steps, pose_filter, model, own, generator, looks_again)
-    strange = follows(pose_filter) and own.recover and float(of_action[names.index("false contacts")]) > _TELLS
+    strange = own.recover and _is_strange(of_action, names, record, pose_filter)
     rivals, static = before.rivals, before.static
     if follows(pose_filter) and open_yet and not strange:
         rivals, static = _rivals(before, record, history, pose_filter, generator)
@@ -168,6 +168,15 @@ def watch(
         waited=0,
     )
     return (_going_on(told_by, pose_filter) if searches else told_by), remark
+
+
+def _is_strange(
+    of_action: Float[Tensor, "k"], names: Sequence[str], record: StepRecord, pose_filter: PoseFilter
+) -> bool:
+    """Whether something was felt falsely, so that the reading is left out where no alarm is due."""
+    if isinstance(pose_filter, IslandFilter):
+        return island_faults.false_touch(of_action, record.reading, pose_filter)
+    return follows(pose_filter) and float(of_action[names.index("false contacts")]) > _TELLS
 
 
 def _rivals(
@@ -300,6 +309,9 @@ def _ratios(
         told = island_faults.log_ratios(
             before, after, record.reading, pose_filter, own, generator=generator, stuck=stuck
         )
+        if island_faults.false_touch(told, record.reading, pose_filter):
+            stated = trajectory_faults.stated_false(len(record.reading.tool_pose), pose_filter.own)
+            none = none.clamp_max(trajectory_faults.by_brief_touch(own, stated))
         return torch.cat((told, none)), stuck.repeated
     assert before.trajectories is not None and after.trajectories is not None
     told = trajectory_faults.log_ratios(

@@ -6,13 +6,16 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi import seeding
+from rumi.belief.island_filter import IslandFilter
 from rumi.belief.misfit import MISFITS, MisfitSettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
+from rumi.belief.prior import PosePrior
 from rumi.belief.remarks import Remark
 from rumi.tasks.rummage import lost
 from rumi.tasks.rummage.entry import ENTRIES, Rummaging, ending
-from rumi.tasks.rummage.explanations import HAND_OR_CAMERA, NOTHING_FELT, PRIOR, SEARCHED, STATIC, named
+from rumi.tasks.rummage.explanations import HAND_OR_CAMERA, IN_SPACE, NOTHING_FELT, PRIOR, SEARCHED, STATIC, named
 from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.lost import told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
@@ -21,6 +24,7 @@ from sdf.object_model import box_model
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
+from tests.fixtures.box_in_space import begin, felt_by, follow, towards
 from tests.fixtures.made_up_run import make_up
 
 OWN = MisfitSettings()
@@ -246,3 +250,21 @@ def test_a_lost_run_says_so_and_does_not_succeed():
     assert entry.success(result) and not entry.success(replace(result, lost=True))
     assert ending(replace(result, lost=True))[0].startswith("lost; ")
     assert "lost 7.5" in Rummaging().describe(record) and "lost" not in Rummaging().describe(replace(record, lost=0.2))
+
+
+@pytest.mark.parametrize(("false", "most"), [(0.0, 30.0), (2e-4, math.log(0.1 / (0.0001 + 1.0 - 0.9998**24)))])
+def test_a_touch_that_may_be_false_hardly_speaks_for_something_unknown(false, most, monkeypatch):
+    """A first touch far from all of a prior, by a pad at the last of twelve instants."""
+    box = box_model(spacing=0.003)
+    prior = PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
+    filtering = follow(box, prior, IslandFilter, unseen_particles=900, islands=3, false=false)
+    reading = felt_by(
+        box, se3.from_planar(torch.tensor([-0.29, 0.005, 0.0])) @ prior.ways[1], towards(-0.357, count=12)
+    )
+    before, memory = begin(filtering, prior)
+    after, _, _ = filtering(before, memory, reading, generator=seeding.generator(3))
+    monkeypatch.setattr(lost, "log_ratios", lambda *_: torch.full((len(MISFITS),), 30.0, dtype=torch.float64))
+    last = replace(MADE_UP.steps[0], belief=before, reading=reading)
+    steps = last, replace(MADE_UP.steps[1], belief=after, reading=reading)
+    ratios, _ = lost._ratios(steps, filtering, box, OWN, seeding.generator(4), False)
+    assert float(ratios[list(IN_SPACE).index("none of these")]) == pytest.approx(most)
