@@ -157,8 +157,8 @@ def false_touch(ratios: Float[Tensor, "K"], reading: Reading, pose_filter: Islan
         reading: of the action.
         pose_filter: of the belief.
     """
-    told = float(ratios[ISLAND_FAULTS.index("false contacts")]) > _TELLS
-    return told and _is_brief(reading) and pose_filter.own.false > 0
+    false, knocked = (float(ratios[ISLAND_FAULTS.index(name)]) for name in ("false contacts", "knocked"))
+    return false > max(_TELLS, knocked) and _is_brief(reading) and pose_filter.own.false > 0
 
 
 def _is_brief(reading: Reading) -> bool:

@@ -185,6 +185,8 @@ def test_a_brief_first_touch_where_hardly_any_of_the_prior_is_may_be_false(box, 
     assert ratio["false contacts"] == pytest.approx(expected)
     ratios = torch.tensor([ratio[name] for name in ISLAND_FAULTS])
     assert false_touch(ratios, reading, filtering) == is_false
+    ratios[ISLAND_FAULTS.index("knocked")] = 9.0  # an object that is elsewhere is no false touch
+    assert not false_touch(ratios, reading, filtering)
     assert by_brief_touch(MisfitSettings(), stated) == pytest.approx(math.log(0.1 / (0.001 * 0.1 + stated)))
 
 
