@@ -114,7 +114,7 @@ def _densities(
     (before, log_weights), (after, _) = pose_filter.particles_of(last), pose_filter.particles_of(now)
     faults, felt = dict.fromkeys(ISLAND_FAULTS, 0.0), bool(reading.in_contact.any())
     none, new = after.log_evidence - before.log_evidence, new_segments(before, after)
-    if before.apart and _is_brief(reading):
+    if before.apart and _is_brief(reading) and pose_filter.own.false > 0:
         faults |= _first_touch_of_nothing(before, log_weights, reading, pose_filter, own)
     if not new and (before.apart or not after.apart):  # nothing sensed, or a first touch that fits none
         return _Densities(none, faults, none)

@@ -181,7 +181,7 @@ def test_a_brief_first_touch_where_hardly_any_of_the_prior_is_may_be_false(box, 
     before = begin(filtering, prior)[0]
     ratio, _ = told(filtering, before, reading)
     stated = 1.0 - (1.0 - false) ** 24
-    expected = math.log(0.3 * 0.8 / (0.001 * 0.1 + stated)) if away else 0.0
+    expected = math.log(0.3 * 0.8 / (0.001 * 0.1 + stated)) if is_false else 0.0
     assert ratio["false contacts"] == pytest.approx(expected)
     ratios = torch.tensor([ratio[name] for name in ISLAND_FAULTS])
     assert false_touch(ratios, reading, filtering) == is_false
