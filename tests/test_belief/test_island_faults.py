@@ -14,9 +14,11 @@ from rumi.belief.predicted_action import log_evidence
 from rumi.belief.stuck_hand import Told
 from rumi.belief.trajectory_faults import ALIKE, by_brief_touch
 from rumi.seeding import generator
-from rumi.tasks.rummage.explanations import IN_SPACE
+from rumi.tasks.rummage.explanations import IN_SPACE, all_faults_of
+from rumi.tasks.rummage.lost import _is_strange
 from sdf import se3
 from tests.fixtures.box_in_space import begin, felt_by, follow, towards
+from tests.fixtures.made_up_run import make_up
 
 PLACE = torch.tensor([0.01, 0.005, 0.0], dtype=torch.float64)
 STUCK = Told(0.0, -1.5)
@@ -207,3 +209,16 @@ def test_a_long_first_touch_is_never_false(box, prior):
     assert int(reading.in_contact.sum()) > 2
     ratio, _ = told(filtering, begin(filtering, prior)[0], reading)
     assert ratio["false contacts"] == 0.0
+
+
+def test_a_run_leaves_out_what_is_felt_falsely_and_no_knock(box, prior):
+    filtering = follow(box, prior, IslandFilter, unseen_particles=90, islands=3, false=2e-4)
+    names, _ = all_faults_of(filtering)
+    assert names[: len(ISLAND_FAULTS)] == ISLAND_FAULTS
+    reading = felt_by(box, pose(prior), towards(-0.055, count=6))
+    brief = reading.in_contact & (reading.in_contact.cumsum(0) == 1)
+    record = make_up(2, particles=2).steps[1]
+    for contact, knocked, strange in ((brief, 0.0, True), (brief, 3.0, False), (~brief, 0.0, False)):
+        told_by = dict.fromkeys(names, 0.0) | {"false contacts": 2.0, "knocked": knocked}
+        felt = replace(record, reading=replace(reading, in_contact=contact))
+        assert _is_strange(torch.tensor([told_by[name] for name in names]), names, felt, filtering) == strange
