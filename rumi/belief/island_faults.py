@@ -32,6 +32,7 @@ from rumi.belief.trajectory_faults import (
     by_false_contacts,
     log_beside,
     log_knocked,
+    median_off,
     new_segments,
     stated_false,
     unmet_instants,
@@ -138,7 +139,8 @@ def _densities(
         return _Densities(none, faults, none)
     as_stated = none
     if felt:
-        unmet = unmet_instants(_asked(expected), history, pose_filter.model)
+        some = expected.at(systematic(torch.zeros(len(expected), dtype=torch.float64), 0.5, _ASKED))
+        unmet = unmet_instants(some, history, pose_filter.model)
         against = by_false_contacts(len(unmet), own, stated_false(len(history.tool), pose_filter.own))
         faults |= {"false contacts": against, "second object": math.log1p(-FALSE)}
         if unmet:
@@ -187,16 +189,10 @@ def _first_touch_of_nothing(
     points = reading.observation.points[reading.observation.of_class(Semantics.SURFACE)]
     if not len(points):  # touched, and nobody knows where
         return {}
-    off = model.sdf.distance(model.local(poses, points.to(poses)).to(model.sdf.bounds)).abs().median(-1).values
-    if float((off <= UNMET_M).double().mean()) > _FEW:
+    if float((median_off(poses, points.to(poses), model) <= UNMET_M).double().mean()) > _FEW:
         return {}
     stated = stated_false(len(reading.tool_pose), sensed)
     return {"false contacts": by_false_contacts(int(reading.in_contact.sum()), own, stated)}
-
-
-def _asked(now: Trajectories) -> Trajectories:
-    """Some of as many equally weighted particles, which are asked where they have a surface."""
-    return now.at(systematic(torch.zeros(len(now), dtype=torch.float64), 0.5, _ASKED))
 
 
 def _history(

@@ -226,7 +226,7 @@ def unmet_instants(after: Trajectories, history: History, model: Pushed) -> list
             if not len(points):
                 held = None
                 continue
-            off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)).abs().median(-1).values
+            off = median_off(poses, points, model)
             place = _on_hand(points, history.tool[instant, 1])
             met = float(off.min()) <= UNMET_M
             if met or (held is not None and float((held - place).norm()) < _APART_M):
@@ -252,9 +252,15 @@ def last_contact_off(after: Trajectories, new: int, pose_filter: PoseTrajectoryF
             points = _felt_at(history, instant)
             if len(points) and instant not in strange:
                 poses = torch.cat((after.poses[:, segment], after.poses[:, segment + 1]))
-                off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)) - pose_filter.own.felt_m
-                return float(off.abs().median(-1).values.min())
+                return float(median_off(poses, points, model, pose_filter.own.felt_m).min())
     return 0.0
+
+
+def median_off(
+    poses: Float[Tensor, "n d"], points: Float[Tensor, "m 3"], model: Pushed, felt_m: float = 0.0
+) -> Float[Tensor, "n"]:
+    """Median distance of felt points from the surface of an object at some poses, or from where it is felt, metres."""
+    return (model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)) - felt_m).abs().median(-1).values
 
 
 def _felt_at(history: History, instant: int) -> Float[Tensor, "m 3"]:

@@ -106,7 +106,7 @@ def made(options: ServeOptions) -> "Served":
     if (options.builtin is None) == (options.object.mesh is None):
         raise UsageError("Expected the object, by --mesh FILE or by --builtin NAME, one of the two")
     if options.motion == "auto":
-        raise UsageError("Expected --motion to say how it is known, got auto: leave it out where nothing measures it")
+        raise UsageError("Expected another --motion, got auto: leave it out where nothing measures the motion")
     if not options.patience > 0:
         raise UsageError(f"Expected --patience above 0, got {options.patience}")
     low, high = torch.tensor(options.workspace)

@@ -293,7 +293,7 @@ def test_a_server_that_is_killed_leaves_a_readable_run(tmp_path):
         (["--builtin", "box"], "--workspace"),
         (
             ["--workspace", *["0", "0", "0", "1", "1", "0"], "--builtin", "box", "--motion", "auto"],
-            "got auto: leave it out where nothing measures it",
+            "got auto: leave it out where nothing measures the motion",
         ),
     ],
 )
