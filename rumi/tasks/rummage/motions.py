@@ -133,14 +133,14 @@ def is_planar(spec: TaskSpec) -> bool:
 
 
 def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
-    """The widths of the sensors with what a robot's are stated to be off by: calibration, tool pose, the model's wear.
+    """The widths of sensors and heights with what they are stated to be off by: calibration, tool pose, wear, size.
 
-    Each is drawn once a run: in a random direction, of which one axis counts, or evenly up to a depth.
+    Each is drawn once a run: in a random direction, of which one axis counts, or evenly up to a depth, about the model.
     """
-    worn = simulator.build.worn_m / math.sqrt(3.0)
+    worn, size = simulator.build.worn_m / math.sqrt(3.0), simulator.build.scale / math.sqrt(3.0)
     camera = simulator.sensors.calibration_m / math.sqrt(3.0)
     own = own.wider(math.hypot(camera, worn), math.hypot(simulator.tool_off_m / math.sqrt(2.0), worn))
-    return _as_sensed(own, simulator)
+    return _as_sensed(replace(own, height_off=own.height_off or (worn, size)), simulator)
 
 
 def _as_sensed(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
