@@ -109,12 +109,27 @@ class RestingPoses:
             lying: resting pose, edge about which it leans (-1 for none), and by what angle.
         """
         rest, edge = lying[..., 0].long(), lying[..., 1].long()
-        zero = torch.zeros_like(planar[..., 0])
-        pose = se3.make(self.turn[rest], torch.stack((zero, zero, self.height_m[rest]), -1))
-        leans = edge.clamp_min(0)
-        angle = torch.where(edge >= 0, lying[..., 2], zero)
-        tilt = tilted(self.edges.point[rest, leans], self.edges.normal[rest, leans], angle)
-        return se3.from_planar(planar) @ tilt @ pose
+        leans, level = edge.clamp_min(0), (edge < 0)[..., None]
+        point = torch.where(level, 0.0, self.edges.point[rest, leans])
+        normal = torch.where(level, point.new_tensor((1.0, 0.0)), self.edges.normal[rest, leans])
+        angle = torch.where(edge < 0, 0.0, lying[..., 2])
+        # rows of turn and place, seen from the edge: along its normal, along itself, and up
+        lying_T_object = torch.cat(
+            (self.turn[rest], torch.cat((-point, self.height_m[rest][..., None]), -1)[..., None]), -1
+        )
+        x, y, up = lying_T_object.unbind(-2)
+        (nx, ny), cos, sin = normal[..., None, :].unbind(-1), angle.cos()[..., None], angle.sin()[..., None]
+        out, along = nx * x + ny * y, nx * y - ny * x
+        out, up = cos * out + sin * up, cos * up - sin * out
+        x, y = nx * out - ny * along, nx * along + ny * out
+        x[..., 3] += point[..., 0]
+        y[..., 3] += point[..., 1]
+        cos, sin = planar[..., 2:].cos(), planar[..., 2:].sin()
+        x, y = cos * x - sin * y, sin * x + cos * y
+        x[..., 3] += planar[..., 0]
+        y[..., 3] += planar[..., 1]
+        last = up.new_tensor((0.0, 0.0, 0.0, 1.0)).expand_as(up)
+        return torch.stack((x, y, up, last), -2)
 
 
 def tilted(
