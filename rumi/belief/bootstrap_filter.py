@@ -20,12 +20,12 @@ from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, OWN, PoseTrajectoryBelief, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
+from rumi.belief.sample_size import particles_wanted
 from rumi.belief.segments import felt_pads, path_of, pushed, until_felt
-from rumi.belief.sensed_motion import log_likelihood_of_motions
 from rumi.belief.tempering import check_finite, log_mean, power_of
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History, Kind, Segment
-from rumi.belief.trajectory_starts import brought_to, from_prior, is_narrow, jittered, jumped, least_fit
+from rumi.belief.trajectory_starts import brought_to, from_prior, jittered, jumped, least_fit
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import Generators, lone, normal
@@ -40,13 +40,12 @@ SHOWN = 400
 _UNMET, _MET, _SPARED = 5, 2, 0.02  # draws for each particle at a first touch, those that are pushed, their least share
 _JUMPS, _MORE_JUMPS = 0.03, 0.15  # share of an action's draws that jump; where the first draws fit badly
 _TRIES, _FIT = 3, 40  # times that draws are made of a segment until one in so many particles counts
+_AGAIN, _WIDER = 0.5, 1.5  # share of so many that later draws are, and how much wider their noise is
 _A_MOTION = 6.0  # nats that a segment's sensed motion may cost where the model follows it but roughly
-_WIDER = 1.5  # times as much noise of the later ones
 _KERNEL = (0.0005, 0.0005, 0.01)  # deviations by which what is resampled moves: metres, metres, radians
 _KEPT = 0.98  # correlation of the physics from action to action
 _REMEMBERED = 10  # segments
 _SWEPT, _ASIDE_M = 0.01, 0.001  # least share of a belief that the tool pushes unfelt before a first touch, and how far
-_FEWER = 3  # times fewer particles stand for a narrow belief
 
 
 @dataclass(frozen=True)
@@ -131,6 +130,9 @@ class BootstrapFilter(PoseTrajectoryFilter):
             normalise(log_weights),
         )
 
+    def _heights(self, now: Trajectories) -> Float[Tensor, "N"]:
+        return self.model.heights_off(now.pose, *(self.own.height_off or (0.0, 0.0)))
+
     def _poses(self, now: Trajectories, log_weights: Tensor) -> Float[Tensor, "n 6"]:
         return now.pose[systematic(log_weights, 0.5, min(self.shown, len(now)))]
 
@@ -213,34 +215,26 @@ class BootstrapFilter(PoseTrajectoryFilter):
             opens: whether the action begins with it.
             jumps: whether some may jump.
         """
-        history, found = now.history.appended(segment, opens=opens), list[Trajectories]()
-        whole, wanted = torch.empty(0, dtype=torch.float64), max(1.0, len(now) / _FIT)
+        history, found, heavy = now.history.appended(segment, opens=opens), list[Trajectories](), list[Tensor]()
+        whole, wanted, few = log_weights, max(1.0, len(now) / _FIT), max(1, int(_AGAIN * len(now)))
         for again in range(_TRIES):
             share = (_MORE_JUMPS if again else _JUMPS * opens) if jumps and len(segment.points) else 0.0
-            some = self._some_jumped(now, segment, share, random)
-            noise = normal((len(now), 1, NOISE), generator=random, dtype=torch.float64)
+            before = now.at(resample_systematic(log_weights, few, generator=random)) if again else now
+            some = self._some_jumped(before, segment, share, random)
+            noise = normal((len(some), 1, NOISE), generator=random, dtype=torch.float64)
             if again:
                 noise[:, :, 2:OWN] *= _WIDER
-            found.append(self._from_before(now, some.stepped(self.model, self.own, noise, history), segment))
+            after = some.stepped(self.model, self.own, noise, history)
+            found.append(after if segment.motion is None else after.moved_from(before.pose, self.model, self.own))
             gained = found[-1].log_likelihood[:, -1]
             check_finite(gained)
-            whole = torch.cat((whole, log_weights + gained))
+            heavy.append((_even(before) if again else log_weights) + gained + math.log(len(before)))
+            whole = torch.cat(heavy)
             if float(effective_sample_size(whole)) >= wanted:
                 break
-        told = float(whole.logsumexp(-1)) - math.log(len(found))
+        told = float(whole.logsumexp(-1)) - math.log(len(whole))
         now = found[0].joined(*found[1:])
         return replace(now, log_evidence=now.log_evidence + told), normalise(whole), told
-
-    def _from_before(self, now: Trajectories, after: Trajectories, segment: Segment) -> Trajectories:
-        """Particles after a segment whose sensed motion counts from where each was before it, and before any jump."""
-        if segment.motion is None:
-            return after
-        place, power = self.model.world_T_object, torch.ones(1, dtype=torch.float64)
-        end, told = place(after.pose), after.log_likelihood.clone()
-        for sign, start in ((-1.0, after.poses[:, -2]), (1.0, now.pose)):
-            poses = torch.stack((place(start), end), 1)
-            told[:, -1] += sign * log_likelihood_of_motions(poses, segment.motion[None], power, self.own)[:, 0]
-        return replace(after, log_likelihood=told)
 
     def _some_jumped(self, now: Trajectories, segment: Segment, share: float, random: torch.Generator) -> Trajectories:
         """A share of the particles where a jump before the segment may have led."""
@@ -268,9 +262,9 @@ class BootstrapFilter(PoseTrajectoryFilter):
 
     def _thinned(self, now: Trajectories, log_weights: Tensor, random: torch.Generator) -> tuple[Trajectories, Tensor]:
         """Particles resampled and moved by a narrow kernel, where few of them count or there are too many."""
-        many = self.own.unseen_particles
-        count = max(1, many // _FEWER) if is_narrow(self._poses(now, log_weights)) else many
-        if len(now) == count and float(effective_sample_size(log_weights)) >= 0.5 * count:
+        every = now.pose[systematic(log_weights, 0.5, self.own.unseen_particles)]
+        count, most = particles_wanted(every, self._poses(now, log_weights), self.own)
+        if count <= len(now) <= most and float(effective_sample_size(log_weights)) >= 0.5 * count:
             return now, log_weights
         now = self._moved(now.at(resample_systematic(log_weights, count, generator=random)), random)
         return now, _even(now)
@@ -314,7 +308,8 @@ class BootstrapFilter(PoseTrajectoryFilter):
         held = bool(reading.in_contact[-1].any())
         start = jumped(self.model.rests, last.pose[rows], way, generator=random, held=held)
         start = torch.cat((start, from_prior(self.prior, count - len(start), random)))
-        end, some = torch.tensor([len(path) - 1]), start[systematic(_flat(count), 0.5, min(self.shown, count))]
+        end, even = torch.tensor([len(path) - 1]), torch.zeros(count, dtype=torch.float64)
+        some = start[systematic(even, 0.5, min(self.shown, count))]
         ended = pushed(reading, end, path, felt, some[:, None], self.model, own)._replace(pushes=False, motion=None)
         start = self._brought(start, ended, random)
         kept = resample_systematic(self._fit(start, ended), own.unseen_particles, generator=random)
@@ -343,8 +338,4 @@ class BootstrapFilter(PoseTrajectoryFilter):
 
 
 def _even(now: Trajectories) -> Float[Tensor, "N"]:
-    return normalise(_flat(len(now)))
-
-
-def _flat(count: int) -> Float[Tensor, "N"]:
-    return torch.zeros(count, dtype=torch.float64)
+    return normalise(torch.zeros(len(now), dtype=torch.float64))

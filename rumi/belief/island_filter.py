@@ -59,7 +59,8 @@ class IslandFilter(BootstrapFilter):
     ) -> None:
         super().__init__(settings, discrepancy, model, prior, search)
         count = self.own.islands
-        self.own = replace(self.own, unseen_particles=max(1, self.own.unseen_particles // count))
+        most, least = (max(1, many // count) for many in (self.own.unseen_particles, self.own.fewest_particles))
+        self.own = replace(self.own, unseen_particles=most, fewest_particles=least)
         usual = _EXCHANGED if model.unsteady else 0.0
         self.exchanged = usual if self.own.exchanged is None else self.own.exchanged
         # evidence of particles that came from elsewhere is no population's own
@@ -76,19 +77,18 @@ class IslandFilter(BootstrapFilter):
         self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
     ) -> tuple[IslandBelief, Observation, FilterInfo]:
         """One whole filter step of each; the points for planners ride with the first. Arguments as of `PoseFilter`."""
-        after, infos, before = [], list[FilterInfo](), list(islands_of(belief))
+        before = list(islands_of(belief))
         if self.exchanged > 0 and bool(reading.in_contact.any()):
             before = self._exchanged(before, lone(generator))
-        none = memory[torch.zeros(0, dtype=torch.long)]
-        kept = none
-        for number, island in enumerate(before):
-            found, points, info = super().forward(island, none if number else memory, reading, generator=generator)
-            kept = kept if number else points
-            after.append(found)
-            infos.append(info)
-        moved = torch.stack([info.moved for info in infos]).any(0)
-        resampled = torch.stack([info.resampled for info in infos]).any(0)
-        return self.mixture(after), kept, FilterInfo(moved, resampled, infos[0].added)
+        first, memory, info = super().forward(before[0], memory, reading, generator=generator)
+        others = [self.followed(island, reading, generator=generator) for island in before[1:]]
+        moved = info.moved | any(done.touched for _, done in others)
+        resampled = info.resampled | any(done.resampled for _, done in others)
+        return (
+            self.mixture([first, *(island for island, _ in others)]),
+            memory,
+            FilterInfo(moved, resampled, info.added),
+        )
 
     def _exchanged(self, islands: Sequence[BootstrapBelief], random: torch.Generator) -> list[BootstrapBelief]:
         """The populations with a share of each drawn from the others, where particles may take part in a touch."""

@@ -1,5 +1,6 @@
 """Belief over trajectories of a pushed object: particles that each have a motion of their own."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -14,7 +15,7 @@ from rumi.belief.sensed_motion import log_likelihood_of_motions
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.seeding import normal
-from sdf import backend
+from sdf import backend, se3
 
 PHYSICS, NOISE, OWN = 5, 11, 5
 """Standard normals of a particle, of a segment, and those of a segment that its action does not share."""
@@ -154,6 +155,16 @@ class Trajectories:
         )
         return replace(longer, poses=poses, log_likelihood=logs)
 
+    def moved_from(self, start: Float[Tensor, "N D"], model: Pushed, settings: PoseTrajectorySettings) -> Self:
+        """The same where the last segment's motion counts from other poses than those before it, as where it jumped."""
+        rows = (self.poses[:, -2] != start).any(-1).nonzero()[:, 0]
+        end, told = model.world_T_object(self.pose[rows]), self.log_likelihood.clone()
+        sensed = self.history.motion[-1:], self.history.motion_power[-1:]
+        for sign, begun in ((-1.0, self.poses[rows, -2]), (1.0, start[rows])):
+            there = torch.stack((model.world_T_object(begun), end), 1)
+            told[rows, -1] += sign * log_likelihood_of_motions(there, *sensed, settings)[:, 0]
+        return replace(self, log_likelihood=told)
+
     def joined(self, *others: Self) -> Self:
         """These particles and others of the same history."""
         return self._with([torch.cat([getattr(part, name) for part in (self, *others)]) for name in _PARTS])
@@ -209,6 +220,31 @@ class Trajectories:
         for told in further:
             log_likelihood = log_likelihood + torch.where(torch.arange(len(history)) >= first[:, None], told, 0.0)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
+
+
+def middle_motion(now: Trajectories, spans: Sequence[int], count: int, model: Pushed) -> Float[Tensor, "K 4 4"]:
+    """World motion of a particle in the middle of some, up to each instant of an action, segments evenly divided.
+
+    Args:
+        now: the particles.
+        spans: instants of each of the action's segments, which are the last ones; none if nothing moved.
+        count: K, instants of the action.
+        model: of the object.
+    """
+    if not spans:
+        return se3.identity((count,), dtype=torch.float64)
+    pose = now.pose
+    weights = pose.new_tensor((1.0, 1.0, 0.05, 1.0, 0.0, 1.0)[: pose.shape[-1]])  # ways of resting are far apart
+    middle = int((pose - pose.median(0).values).mul(weights).square().sum(-1).argmin())
+    track = now.poses[middle, -len(spans) - 1 :]
+    steps = []
+    for at, length in enumerate(spans):
+        share = (torch.arange(length, dtype=torch.float64) + 1.0)[:, None] / length
+        planar = track[at, :3] + share * (track[at + 1] - track[at])[:3]
+        lying = torch.where(share < 1.0, track[at, 3:], track[at + 1, 3:])
+        steps.append(torch.cat((planar, lying), -1))
+    moved = model.world_T_object(torch.cat(steps))
+    return moved @ se3.inverse(model.world_T_object(track[0]))
 
 
 _PARTS = ("physics", "noise", "poses", "log_likelihood")

@@ -18,7 +18,7 @@ from torch import Tensor
 from rumi.belief.first_poses import drawn_again, of_prior, of_view
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories, middle_motion
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import above, cut, felt_pads, path_of, pushed, seen_besides, standing
@@ -129,22 +129,31 @@ class PoseTrajectoryFilter(PoseFilter):
         self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
     ) -> tuple[PoseBelief, Observation, FilterInfo]:
         """One whole filter step; arguments as of `PoseFilter`."""
-        if reading.tool_pose.ndim != 3:
-            raise ValueError(f"Expected a reading of one scene, got tool_pose {tuple(reading.tool_pose.shape)}")
-        own, frame = self.own, belief.world_T_attached
-        done = self.advanced(*self.particles_of(belief), reading, lone(generator))
+        after, done = self.followed(belief, reading, generator=generator)
+        frame = belief.world_T_attached
+        frames = done.rides.to(frame) @ frame
         if done.touched and not done.spans:  # begun anew: what was sensed before told where it was
             memory = memory[(~memory.attached).nonzero()[:, 0]]
-        frames = done.rides.to(frame) @ frame
         if done.spans:
             new = attach(reading.observation, reading.instant, frames)
         else:  # one frame for all instants
             new = in_world(reading.observation, se3.inverse(frames[0]))
         memory, added = merge(memory, new, self.lattice)
+        return after, memory, FilterInfo(torch.tensor(done.touched), torch.tensor(done.resampled), added)
+
+    def followed(self, belief: PoseBelief, reading: Reading, *, generator: Generators) -> tuple[PoseBelief, Advanced]:
+        """The belief after an action, and how its particles came there.
+
+        Raises:
+            ValueError: the reading is not of one scene.
+        """
+        if reading.tool_pose.ndim != 3:
+            raise ValueError(f"Expected a reading of one scene, got tool_pose {tuple(reading.tool_pose.shape)}")
+        done = self.advanced(*self.particles_of(belief), reading, lone(generator))
         if done.changed:
-            now = done.now.remembered(own.memory)
-            belief = self.belief_of(now, done.log_weights, frames[-1], belief.log_weights)
-        return belief, memory, FilterInfo(torch.tensor(done.touched), torch.tensor(done.resampled), added)
+            frame = done.rides[-1].to(belief.world_T_attached) @ belief.world_T_attached
+            belief = self.belief_of(done.now.remembered(self.own.memory), done.log_weights, frame, belief.log_weights)
+        return belief, done
 
     def particles_of(self, belief: PoseBelief) -> tuple[Trajectories, Float[Tensor, "N"]]:
         """Particles of a belief, and their log-weights."""
@@ -164,7 +173,7 @@ class PoseTrajectoryFilter(PoseFilter):
             parts = cut(reading, own, self.model.lifted(reading.tool_pose))
             now, spans = self._touched(now, log_weights, parts, reading, path, random)
             log_weights, resampled = normalise(log_weights.new_zeros(len(now))), True
-        rides = self._ridden(now, spans, len(reading.in_contact))
+        rides = middle_motion(now, spans, len(reading.in_contact), self.model)
         stood = reading.observation if not touched else seen_besides(reading, self.model, own)
         still = standing(stood, self._poses(now, log_weights), self.model, own, now.history)
         if still is not None:
@@ -322,22 +331,9 @@ class PoseTrajectoryFilter(PoseFilter):
         whole |= len(now.history.moving()) <= _LONG
         return in_full(now, power, moves, random, rounds=self.own.rounds, whole=whole)
 
-    def _ridden(self, now: Trajectories, spans: list[int], count: int) -> Float[Tensor, "K 4 4"]:
-        """Motion of a particle in the middle of the belief up to each instant of an action, segments evenly divided."""
-        if not spans:
-            return se3.identity((count,), dtype=torch.float64)
-        pose = now.pose
-        weights = pose.new_tensor((1.0, 1.0, 0.05, 1.0, 0.0, 1.0)[: pose.shape[-1]])  # ways of resting are far apart
-        middle = int((pose - pose.median(0).values).mul(weights).square().sum(-1).argmin())
-        track = now.poses[middle, -len(spans) - 1 :]
-        steps = []
-        for at, length in enumerate(spans):
-            share = (torch.arange(length, dtype=torch.float64) + 1.0)[:, None] / length
-            planar = track[at, :3] + share * (track[at + 1] - track[at])[:3]
-            lying = torch.where(share < 1.0, track[at, 3:], track[at + 1, 3:])
-            steps.append(torch.cat((planar, lying), -1))
-        moved = self.model.world_T_object(torch.cat(steps))
-        return moved @ se3.inverse(self.model.world_T_object(track[0]))
+    def _heights(self, now: Trajectories) -> Float[Tensor, "N"]:
+        """How much higher each particle's origin is than the model of its motion has it."""
+        return now.pose.new_full((len(now),), self.model.resting_m)
 
     def belief_of(
         self, now: Trajectories, log_weights: Tensor, world_T_attached: Tensor, like: Tensor
@@ -345,6 +341,6 @@ class PoseTrajectoryFilter(PoseFilter):
         """The belief of trajectories, in the dtype of another."""
         frame = world_T_attached.to(like)
         poses = self.model.world_T_object(now.pose.to(like))
-        poses[..., 2, 3] += self.model.resting_m
+        poses[..., 2, 3] += self._heights(now).to(like)
         attached, weights = se3.inverse(frame) @ poses, normalise(log_weights.to(like))
         return PoseTrajectoryBelief(frame, attached, weights, torch.zeros_like(weights), None, now)

@@ -117,6 +117,18 @@ class ToppledObject:
         """Poses in space above the floor."""
         return self.rests.world_T_object(poses[..., :3].double(), poses[..., 3:].double()).to(poses)
 
+    def heights_off(self, poses: Float[Tensor, "N 6"], worn_m: float, share: float) -> Float[Tensor, "N"]:
+        """Draws of how much higher an object's origin is than its model's: even quantiles, in an order of their own.
+
+        Args:
+            poses: of objects.
+            worn_m: deviation, metres, of what is worn off, and
+            share: of its size, as a share of the origin's height.
+        """
+        place = torch.randperm(len(poses), generator=torch.Generator().manual_seed(0)).double()
+        wide = (share * self.rests.height_m[poses[:, 3].long()]).square() + worn_m**2
+        return torch.special.ndtri((place + 0.5) / len(poses)) * wide.sqrt()
+
     def local(self, pose: Float[Tensor, "N 6"], points: Float[Tensor, "M 3"]) -> Float[Tensor, "N M 3"]:
         """Points in the frame of each pose."""
         return se3.apply(se3.inverse(self.world_T_object(pose)), points.expand(len(pose), -1, 3))

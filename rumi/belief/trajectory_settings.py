@@ -44,7 +44,10 @@ class PoseTrajectorySettings:
         particles: N, where a view shows the object.
         first_particles: N of the first touch, for which those of the view are drawn anew from start poses that were
             searched all round; 0 for no more than there are.
-        unseen_particles: N of the bootstrap filter, where only a prior tells of the object at first.
+        unseen_particles: N of the bootstrap filter, where only a prior tells of the object at first; at most.
+        fewest_particles: the same at least, once it was touched.
+        sampling_error: Kullback-Leibler distance, nats, within which N particles are to stand for a belief that takes
+            up so many cells of 5 mm and .1 rad (KLD-sampling). 0: a third of `unseen_particles` where it is narrow.
         islands: populations that share these particles.
         exchanged: share of each population that comes from the others before an action with contact, which then has to
             explain it as well as those it came to. That brings back what one of them lost, and couples what they are
@@ -120,6 +123,8 @@ class PoseTrajectorySettings:
             of the tool feels meanwhile.
         tool_off_m, tool_off_rad: deviations of where the tool is taken to be in a run, along each axis, and of its yaw.
         worn: mean and deviation of how much deeper the object's surface lies than its model's, in metres.
+        height_off: deviations of how high the object's origin is above the floor in space, in metres and as a share of
+            the model's: of a worn object, and of another size. None: as these are stated.
         view_off_m: deviation of where a camera has the object in a run, along each axis.
         eye_m: (x, y, z) of a camera that is some way off, world frame, metres: what it sees of an upright object is on
             the side of a wall that faces it. None where nobody knows, so that it may be on either.
@@ -129,6 +134,8 @@ class PoseTrajectorySettings:
     particles: int = 150
     first_particles: int = 0
     unseen_particles: int = 12000
+    fewest_particles: int = 1800
+    sampling_error: float = 0.05
     islands: int = 3
     exchanged: float | None = None
     evidence_power: float = 0.2
@@ -192,6 +199,7 @@ class PoseTrajectorySettings:
     tool_off_m: float = 0.0
     tool_off_rad: float = 0.0
     worn: tuple[float, float] = (0.0, 0.0)
+    height_off: tuple[float, float] | None = None
     view_off_m: float = 0.0
     eye_m: tuple[float, float, float] | None = None
     most: tuple[int, int, int, int] = (500, 250, 60, 120)
@@ -280,7 +288,17 @@ class PoseTrajectorySettings:
             for number in value if isinstance(value, tuple) else (value,):
                 if not 0 <= number < math.inf:
                     raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
-        whole = ("particles", "unseen_particles", "islands", "branches", "instants", "lag", "memory", "rounds")
+        whole = (
+            "particles",
+            "unseen_particles",
+            "fewest_particles",
+            "islands",
+            "branches",
+            "instants",
+            "lag",
+            "memory",
+            "rounds",
+        )
         positive = (
             "seen_sd_m",
             "free_sd_m",

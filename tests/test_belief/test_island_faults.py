@@ -96,8 +96,8 @@ def test_a_first_touch_is_no_knock(box, prior, followed):
 
 def test_a_knock_within_reach_explains_an_early_touch(box, prior, followed):
     """The object stands nearer to the tool than any particle has it."""
-    moved = PLACE - torch.tensor([0.03, 0.0, 0.0], dtype=torch.float64)
-    reading = felt_by(box, pose(prior, moved), towards(-0.07, count=12))
+    moved = PLACE - torch.tensor([0.025, 0.0, 0.0], dtype=torch.float64)
+    reading = felt_by(box, pose(prior, moved), towards(-0.075, count=12))
     ratio, _ = told(followed, known(followed, prior), reading)
     assert ratio["knocked"] > 4.0
     shares = {name: value + math.log(IN_SPACE[name]) for name, value in ratio.items()}

@@ -134,12 +134,12 @@ def test_a_jump_before_a_segment_is_part_of_its_motion(box, prior):
         now.lengthened(torch.zeros(3, 1, NOISE, **DOUBLE), now.history.appended(told)),
         poses=torch.stack((jumped, last), 1),
     )
-    before = replace(now, poses=first[:, None])
     poses = torch.stack([followed.model.world_T_object(part) for part in (jumped, last)], 1)
     sensed = motion[None], torch.ones(1, **DOUBLE), followed.own
     scored = replace(after, log_likelihood=log_likelihood_of_motions(poses, *sensed))
-    found = followed._from_before(before, scored, told).log_likelihood[:, -1]
+    found = scored.moved_from(first, followed.model, followed.own).log_likelihood[:, -1]
     assert float(scored.log_likelihood[0, -1]) < -10.0
     torch.testing.assert_close(found[:2], torch.zeros(2, **DOUBLE), atol=1e-6, rtol=0)
     assert float(found[2]) < -10.0
-    assert followed._from_before(before, scored, still) is scored
+    none = scored.moved_from(jumped, followed.model, followed.own)
+    assert torch.equal(none.log_likelihood, scored.log_likelihood)  # of none that jumped

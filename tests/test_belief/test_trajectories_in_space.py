@@ -1,13 +1,17 @@
 """Trajectories from a prior, of a box that slides and topples: touches find it, histories replay, nothing is NaN."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 
+from rumi.belief import bootstrap_filter
+from rumi.belief.sample_size import kld_sample_size, occupied_cells
 from rumi.belief.segments import felt_pads, path_of, pushed
-from rumi.belief.trajectory_history import Segment
-from rumi.belief.trajectory_starts import from_prior, is_narrow
+from rumi.belief.trajectory_history import Kind, Segment
+from rumi.belief.trajectory_starts import from_prior
+from rumi.resampling import systematic
 from rumi.seeding import generator
 from sdf import se3
 from sensors.observation import Observation
@@ -182,16 +186,75 @@ def test_a_step_is_the_replay_of_its_segment(box, prior):
 
 
 def test_a_belief_that_is_narrow_has_fewer_particles(box, prior):
-    followed = follow(box, prior)
+    """By the cells that it takes up; a third where no sampling error is set."""
+    followed = follow(box, prior, unseen_particles=2000, fewest_particles=50)
     belief, _ = begin(followed, prior)
     every, even = followed.particles_of(belief)
-    close = every.pose.clone()
-    close[:, :3] *= 0.01
-    close[:, 3] = 1.0
-    near = replace(every, poses=close[:, None], apart=False)
-    assert is_narrow(close) and not is_narrow(every.pose)
     random = generator(3)
     wide = (even + torch.linspace(0.0, -20.0, len(every), dtype=torch.float64)).log_softmax(-1)
-    assert [len(followed._thinned(now, wide, random)[0]) for now in (every, near)] == [300, 100]
+
+    def thinned(scale, **changes):
+        own = followed.supposing(own=replace(followed.own, **changes))
+        close = every.pose.clone()
+        close[:, :3] *= scale
+        close[:, 3] = 1.0
+        now = replace(every, poses=close[:, None], apart=False)
+        return close, len(own._thinned(now, wide, random)[0])
+
+    assert [thinned(scale, sampling_error=0.0)[1] for scale in (1.0, 0.01)] == [2000, 666]
+    sizes = []
+    for scale in (1.0, 0.1, 0.03, 1e-4):
+        poses, many = thinned(scale)
+        cells = occupied_cells(poses[systematic(wide, 0.5, 2000)])
+        assert many == min(2000, max(50, kld_sample_size(cells, followed.own.sampling_error)))
+        sizes.append(many)
+    assert sizes == sorted(sizes, reverse=True) and sizes[0] > sizes[1] > sizes[2] > sizes[3] == 50
+    some = every.at(torch.arange(100))
+    kept, weights = followed._thinned(replace(some, poses=thinned(1e-4)[0][:100, None]), even[:100], random)
+    assert len(kept) == 50  # more than are needed, by more than a little
     kept, weights = followed._thinned(every, even, random)
     assert kept is every and weights is even  # nothing is resampled where all count
+    grown, _ = followed._thinned(some, even[:100].log_softmax(-1), random)
+    assert len(grown) > 100  # where they spread they become more again
+
+
+def test_draws_made_again_leave_the_evidence_as_it_is(box, prior, monkeypatch):
+    """Half as many each time: of draws of one kind twice as many tell the same likelihood of what was felt."""
+    followed = follow(box, prior, unseen_particles=1500)
+    every, even = followed.particles_of(begin(followed, prior)[0])
+    close = every.pose.clone() * 0.02
+    close[:, 3], close[:, 4] = 1.0, -1.0
+    now = replace(every, poses=close[:, None], apart=False)
+    heavy = (even + torch.linspace(0.0, -3.0, len(even), dtype=torch.float64)).log_softmax(-1)
+    reading = felt_by(box, prior.ways[1], towards(-0.055))
+    path, felt = path_of(reading, followed.model), felt_pads(reading, followed.model, followed.own)
+    segment = pushed(
+        reading, torch.arange(len(path)), path, felt, close[:50, None].expand(-1, len(path), -1), followed.model, OWN
+    )
+    assert bool((segment.kind == Kind.FELT).any())
+
+    def weighed():
+        return followed._weighed_pushes(now, heavy, segment, generator(5), opens=True, jumps=False)
+
+    _, _, told = weighed()
+    monkeypatch.setattr(bootstrap_filter, "_FIT", 0.5)  # never enough
+    monkeypatch.setattr(bootstrap_filter, "_WIDER", 1.0)
+    more, weights, again = weighed()
+    assert len(more) == 2 * 1500 and float(weights.exp().sum()) == pytest.approx(1.0)
+    assert again == pytest.approx(told, abs=0.3) and more.log_evidence == now.log_evidence + again
+
+
+def test_heights_of_what_is_shown_are_as_uncertain_as_wear_and_size(box, prior):
+    """Their model has them at one height; those of the particles that are moved stay there."""
+    worn_m, share = 0.0006, 0.006
+    sure, followed = (follow(box, prior, height_off=off) for off in (None, (worn_m, share)))
+    exact, belief = (begin(own, prior)[0] for own in (sure, followed))
+    assert torch.equal(exact.every.poses, belief.every.poses)
+    off = (belief.world_T_object - exact.world_T_object)[:, :3, 3].double()
+    assert not bool(off[:, :2].any())
+    for rest in range(len(prior.ways)):
+        rows = belief.trajectories.pose[:, 3] == rest
+        wide = math.hypot(worn_m, share * float(followed.model.rests.height_m[rest]))
+        assert float(off[rows, 2].mean()) == pytest.approx(0.0, abs=0.4 * wide)
+        assert float(off[rows, 2].std()) == pytest.approx(wide, rel=0.2)
+    assert torch.equal(begin(sure, prior)[0].world_T_object, exact.world_T_object)

@@ -137,10 +137,10 @@ def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTraj
 
     Each is drawn once a run: in a random direction, of which one axis counts, or evenly up to a depth.
     """
-    worn = simulator.build.worn_m / math.sqrt(3.0)
+    worn, size = simulator.build.worn_m / math.sqrt(3.0), simulator.build.scale / math.sqrt(3.0)
     camera = simulator.sensors.calibration_m / math.sqrt(3.0)
     own = own.wider(math.hypot(camera, worn), math.hypot(simulator.tool_off_m / math.sqrt(2.0), worn))
-    return _as_sensed(own, simulator)
+    return _as_sensed(replace(own, height_off=own.height_off or (worn, size)), simulator)
 
 
 def _as_sensed(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:

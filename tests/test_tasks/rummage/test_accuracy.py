@@ -25,13 +25,13 @@ BOUNDS = torch.tensor([[-0.05, -0.03, 0.0], [0.05, 0.03, 0.1]])
 
 
 def test_an_exact_robot_changes_no_width():
-    assert as_accurate(OWN, SimSettings()) == OWN
+    assert as_accurate(OWN, SimSettings()) == replace(OWN, height_off=(0.0, 0.0))
     assert as_inexact(OWN, SimSettings(), BOUNDS) == OWN and not OWN.systematic
 
 
 def test_widths_add_in_quadrature():
     simulator = SimSettings(tool_off_m=0.002)
-    simulator = replace(simulator, build=replace(simulator.build, worn_m=0.003))
+    simulator = replace(simulator, build=replace(simulator.build, worn_m=0.003, scale=0.02))
     simulator = replace(simulator, sensors=replace(simulator.sensors, calibration_m=0.006))
     found = as_accurate(OWN, simulator)
     camera, tool = math.sqrt(0.006**2 / 3.0 + 3.0e-6), math.sqrt(0.002**2 / 2.0 + 3.0e-6)
@@ -41,10 +41,12 @@ def test_widths_add_in_quadrature():
     # a logistic border of width s has a variance of (pi s)^2 / 3
     variance = (math.pi * OWN.pad_slope_m) ** 2 / 3.0 + tool**2
     assert (math.pi * found.pad_slope_m) ** 2 / 3.0 == pytest.approx(variance)
+    assert found.height_off == (math.sqrt(3.0e-6), 0.02 / math.sqrt(3.0))
     assert replace(found, **{name: getattr(OWN, name) for name in WIDTHS}) == OWN
+    assert as_accurate(replace(OWN, height_off=(0.0, 0.0)), simulator).height_off == (0.0, 0.0)
 
 
-WIDTHS = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m")
+WIDTHS = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m", "height_off")
 
 
 def test_systematic_errors_have_the_deviations_of_what_is_drawn():
@@ -151,10 +153,12 @@ def test_guarded_moves_need_pads_that_feel_points(cache):
 def test_runs_on_record_keep_what_their_errors_counted_as():
     made = to_dict(preset(task="mug"))
     del made["filter"]["stated_errors"], made["filter"]["motion"]
-    del made["filter"]["trajectories"]["exchanged"], made["filter"]["trajectories"]["evidence_power"]
+    for name in ("exchanged", "evidence_power", "sampling_error", "height_off"):
+        del made["filter"]["trajectories"][name]
     before = from_dict(made | {"made_with": {}}).filter
     assert before.stated_errors == "noise" and before.motion == "measured"
     assert before.trajectories.exchanged == 0.0 and before.trajectories.evidence_power == 0.0
+    assert before.trajectories.sampling_error == 0.0 and before.trajectories.height_off == (0.0, 0.0)
     assert from_dict(made).filter.stated_errors == "auto"
     made["filter"]["trajectories"]["exchanged"] = None  # said, but not how islands are weighed
     assert from_dict(made | {"made_with": {}}).filter.trajectories.evidence_power == 0.0
