@@ -10,11 +10,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
+from rumi.belief.pushed_model import Pushed
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
 from rumi.seeding import normal
+from sdf import se3
 
 _BEYOND = 4.0  # deviations of the sensor that points about the surface are drawn within
 
@@ -50,20 +52,18 @@ def drawn_view(
     return Segment(still, False, place, torch.zeros_like(kind), kind, torch.ones(count, dtype=torch.float64))
 
 
-def drawn_truth(pose: Float[Tensor, "3"], random: torch.Generator) -> Trajectories:
+def drawn_truth(pose: Float[Tensor, "D"], random: torch.Generator) -> Trajectories:
     """One particle with physics of the prior, to which nothing has been done yet."""
     physics = normal((1, PHYSICS), generator=random, dtype=torch.float64)
-    none = pose.new_zeros(1, 0)
-    return Trajectories(
-        physics, none[..., None].expand(1, 0, NOISE), pose[None, None], none, History.empty(), pose[None]
-    )
+    none, history = pose.new_zeros(1, 0), History.empty(3 if len(pose) == 3 else 4)
+    return Trajectories(physics, none[..., None].expand(1, 0, NOISE), pose[None, None], none, history, pose[None])
 
 
 def drawn_push(
-    model: PushedObject,
+    model: Pushed,
     own: PoseTrajectorySettings,
     truth: Trajectories,
-    path: Float[Tensor, "K 2 3"],
+    path: Float[Tensor, "K 2 T"],
     pads: Float[Tensor, "m 3"],
     random: torch.Generator,
 ) -> tuple[Segment, Trajectories]:
@@ -74,13 +74,14 @@ def drawn_push(
         own: motion prior and sensors.
         truth: one particle.
         path: of the tool.
-        pads: points that feel or not, tool frame; heights from the object's origin.
+        pads: points that feel or not, tool frame; in the plane with heights from the object's origin.
         random: of the draws.
     """
     instants, count = len(path), len(pads)
     after = path[:, 1]
     place = after[:, None, :2] + rotated(pads[:, :2], after[:, None, 2])
-    points = torch.cat((place, pads[:, 2:].expand(instants, -1, 1)), -1).reshape(-1, 3)
+    height = pads[:, 2] + (after[:, None, 3] if path.shape[-1] == 4 else torch.zeros_like(after[:, :1]))
+    points = torch.cat((place, height[..., None]), -1).reshape(-1, 3)
     when = torch.arange(instants).repeat_interleave(count)
     clear = torch.full_like(when, int(Kind.PAD_CLEAR))
     segment = Segment(path, True, points, when, clear, torch.ones(len(when), dtype=torch.float64))
@@ -88,14 +89,15 @@ def drawn_push(
     track = [truth.pose]
     # instant by instant, so that the pose at each is there to draw readings from; they share the segment's noise
     for step in path:
-        alone = History.empty().appended(Segment(step[None], True, points[:0], when[:0], when[:0], points[:0, 0]))
+        alone = Segment(step[None], True, points[:0], when[:0], when[:0], points[:0, 0])
         moved = replace(
             truth, noise=noise, poses=track[-1][:, None].repeat(1, 2, 1), log_likelihood=points.new_zeros(1, 1)
         )
-        track.append(moved.replayed(model, own, alone, torch.zeros(1, dtype=torch.long)).pose)
-    poses = torch.cat(track[1:]).repeat_interleave(count, 0)
-    local = rotated(points[:, :2] - poses[:, :2], -poses[:, 2])
-    distance = model.sdf.distance(torch.cat((local, points[:, 2:]), -1).to(model.sdf.bounds)).double()
+        history = History.empty(path.shape[-1]).appended(alone)
+        track.append(moved.replayed(model, own, history, torch.zeros(1, dtype=torch.long)).pose)
+    inverse = se3.inverse(model.world_T_object(torch.cat(track[1:]))).repeat_interleave(count, 0)
+    local = se3.apply(inverse, points[:, None])[:, 0]
+    distance = model.sdf.distance(local.to(model.sdf.bounds)).double()
     feels = own.outliers + (1.0 - 2.0 * own.outliers) * torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
     felt = torch.rand(len(feels), generator=random, dtype=torch.float64) < feels
     segment = segment._replace(kind=torch.where(felt, int(Kind.PAD_FELT), clear))
