@@ -124,9 +124,9 @@ class Symmetries:
             transposed = pose[..., :3, :3].mT @ like[..., :3, :3]
             best = (transposed.flatten(-2) @ turns.flatten(-2).mT).argmax(-1)
             return pose @ about(turns, own.center)[best]
-        free = self._best_turn(like[..., None, :3, :3].mT @ (pose[..., None, :3, :3] @ turns), own.axis)
-        turns = turns @ free
         back = like[..., None, :3, :3].mT @ (pose[..., None, :3, :3] @ turns)
+        free = self._best_turn(back, own.axis)
+        turns, back = turns @ free, back @ free
         traces = back.diagonal(dim1=-2, dim2=-1).sum(-1)
         best = traces.argmax(-1)[..., None, None, None].expand(*traces.shape[:-1], 1, 3, 3)
         chosen = torch.gather(turns.expand(*traces.shape, 3, 3), -3, best)[..., 0, :, :]

@@ -262,8 +262,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
 
     def _thinned(self, now: Trajectories, log_weights: Tensor, random: torch.Generator) -> tuple[Trajectories, Tensor]:
         """Particles resampled and moved by a narrow kernel, where few of them count or there are too many."""
-        every = now.pose[systematic(log_weights, 0.5, self.own.unseen_particles)]
-        count, most = particles_wanted(every, self._poses(now, log_weights), self.own)
+        count, most = particles_wanted(now.pose, log_weights, self.own, self.shown)
         if count <= len(now) <= most and float(effective_sample_size(log_weights)) >= 0.5 * count:
             return now, log_weights
         now = self._moved(now.at(resample_systematic(log_weights, count, generator=random)), random)

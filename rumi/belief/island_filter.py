@@ -37,7 +37,7 @@ _EXCHANGED = 0.05  # share of what is soon toppled: pushes go otherwise than the
 
 @dataclass(frozen=True)
 class IslandBelief(PoseTrajectoryBelief):
-    """Pose particles of several populations, as many of each; trajectories as of now, without what led there.
+    """Pose particles of several populations; trajectories as of now, without what led there.
 
     Attributes:
         islands: the populations' own beliefs.

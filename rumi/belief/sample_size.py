@@ -12,6 +12,7 @@ from torch import Tensor
 
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.trajectory_starts import is_narrow
+from rumi.resampling import systematic
 
 _QUANTILE = 2.326  # of a standard normal, at 99 %
 _FEWER, _SPARE = 3, 1.3  # times fewer where it is narrow, without a sampling error; times that are no harm, with one
@@ -32,7 +33,10 @@ def kld_sample_size(cells: int, error: float) -> int:
 
 
 def occupied_cells(poses: Float[Tensor, "N 6"]) -> int:
-    """Number of cells of 5 mm, 5 mm and .1 rad in which poses lie, by resting pose, edge and tilt."""
+    """Number of cells of 5 mm, 5 mm and .1 rad in which poses lie, by resting pose, edge and tilt.
+
+    Poses that symmetries map to each other lie in cells of their own.
+    """
     cells = (poses / poses.new_tensor(_CELL)).round().long()
     low = cells.amin(0)
     spans = (cells.amax(0) - low + 1).tolist()
@@ -43,18 +47,21 @@ def occupied_cells(poses: Float[Tensor, "N 6"]) -> int:
 
 
 def particles_wanted(
-    every: Float[Tensor, "M 6"], shown: Float[Tensor, "n 6"], own: PoseTrajectorySettings
+    poses: Float[Tensor, "M 6"], log_weights: Float[Tensor, "M"], own: PoseTrajectorySettings, shown: int
 ) -> tuple[int, int]:
-    """How many particles are to stand for a belief, at least and at most.
+    """Sample size of a particle filter, at least and at most: by KLD-sampling, or by whether it is narrow.
 
     Args:
-        every: draws of it, as many as it may have.
-        shown: some of them.
+        poses: of its particles.
+        log_weights: of them.
         own: the settings.
+        shown: draws by which it is narrow or not.
     """
     many = own.unseen_particles
     if own.sampling_error == 0:
-        count = max(1, many // _FEWER) if is_narrow(shown) else many
+        narrow = is_narrow(poses[systematic(log_weights, 0.5, min(shown, len(poses)))])
+        count = max(1, many // _FEWER) if narrow else many
         return count, count
-    count = min(many, max(own.fewest_particles, kld_sample_size(occupied_cells(every), own.sampling_error)))
+    cells = occupied_cells(poses[systematic(log_weights, 0.5, many)])
+    count = min(many, max(own.fewest_particles, kld_sample_size(cells, own.sampling_error)))
     return count, int(_SPARE * count)

@@ -122,8 +122,8 @@ class ToppledObject:
 
         Args:
             poses: of objects.
-            worn_m: deviation, metres, of what is worn off, and
-            share: of its size, as a share of the origin's height.
+            worn_m: deviation by what is worn off, metres.
+            share: deviation by its size, as a share of the origin's height.
         """
         place = torch.randperm(len(poses), generator=torch.Generator().manual_seed(0)).double()
         wide = (share * self.rests.height_m[poses[:, 3].long()]).square() + worn_m**2

@@ -320,5 +320,7 @@ class PoseTrajectorySettings:
             raise ValueError("Expected most, free_most, and the medians of friction and lever_ratio, to be above 0")
         if self.evidence_power > 1:
             raise ValueError(f"Expected evidence_power in [0, 1], got {self.evidence_power}")
+        if 0 < self.sampling_error < 1e-6:
+            raise ValueError(f"Expected sampling_error to be 0 or 1e-6 nats at least, got {self.sampling_error}")
         if self.shared > 1 or not 0 < self.outliers < 0.5:
             raise ValueError(f"Expected shared in [0, 1] and outliers in (0, 0.5), got {self.shared}, {self.outliers}")

@@ -181,3 +181,31 @@ def test_another_belief_is_refused(box, prior):
         followed(other, Observation.empty(), touches(box, prior)[0], generator=generator(0))
     with pytest.raises(ValueError, match="islands above 0"):
         PoseTrajectorySettings(islands=0)
+
+
+@pytest.mark.parametrize("exchanged", [0.0, 0.1])
+def test_islands_have_as_many_particles_as_each_needs(box, prior, exchanged):
+    """One is narrow, one wide; their shares in the belief do not go by how many particles they have."""
+    followed = follow(
+        box, prior, IslandFilter, unseen_particles=6000, fewest_particles=90, islands=3, exchanged=exchanged
+    )
+    belief, memory = begin(followed, prior)
+    parts = []
+    for number, island in enumerate(islands_of(belief)):
+        poses, random = island.every.poses.clone(), torch.Generator().manual_seed(number)
+        spread = (0.0005, 0.002, 0.01)[number] * torch.tensor([1.0, 1.0, 10.0])
+        poses[:, -1, :3] = spread * torch.randn(len(poses), 3, generator=random, dtype=torch.float64)
+        poses[:, -1, :2] += torch.tensor([0.01, 0.005])
+        poses[:, -1, 3] = 1.0
+        now = replace(island.every, poses=poses, apart=False)
+        parts.append(followed.belief_of(now, island.every_log_weight, island.world_T_attached, island.log_weights))
+    belief = followed.mixture(parts)
+    for number, reading in enumerate(touches(box, prior)[1:]):
+        belief, memory, _ = followed(belief, memory, reading, generator=generator(number))
+    many = [len(island.every) for island in islands_of(belief)]
+    assert all(30 <= own < 2000 for own in many) and len(set(many)) > 1
+    sizes = [len(island.log_weights) for island in islands_of(belief)]
+    shares = torch.stack([part.exp().sum() for part in belief.log_weights.split(sizes)])
+    wanted = followed.log_shares(islands_of(belief)).exp()
+    torch.testing.assert_close(shares.double(), wanted, atol=1e-5, rtol=0)
+    assert bool(belief.world_T_object.isfinite().all())

@@ -13,14 +13,14 @@ from rumi.belief.sample_size import kld_sample_size, occupied_cells
 def test_so_many_draws_come_as_near_as_asked_with_99_percent(cells, error):
     """Of even and of uneven distributions: the share of draws farther off is about one in a hundred."""
     random = torch.Generator().manual_seed(cells)
-    many, trials = kld_sample_size(cells, error), 2000
+    many, trials = kld_sample_size(cells, error), 500
     for weights in (torch.ones(cells), torch.linspace(1.0, 3.0, cells)):
         share = (weights / weights.sum()).double()
         drawn = torch.multinomial(share.float(), trials * many, replacement=True, generator=random).view(trials, many)
         counts = torch.zeros(trials, cells, dtype=torch.float64).scatter_add_(1, drawn, torch.ones_like(drawn).double())
         found = counts / many
         distance = torch.xlogy(found, found / share).sum(-1)
-        assert 0.004 < float((distance > error).double().mean()) < 0.03  # the bound is asymptotic
+        assert 0.0 < float((distance > error).double().mean()) < 0.035  # the bound is asymptotic
 
 
 def test_one_cell_needs_one_draw_and_more_need_more():

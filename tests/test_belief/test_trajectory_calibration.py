@@ -87,7 +87,8 @@ def test_the_truth_ranks_evenly_among_the_particles(episodes):
 
 
 IN_SPACE = PoseTrajectorySettings(
-    unseen_particles=2000,
+    unseen_particles=3000,
+    fewest_particles=300,
     outliers=1e-3,
     pad_slope_m=0.003,
     along=0.05,
@@ -130,9 +131,8 @@ def episode_in_space(seed: int) -> dict[str, float]:
         path = torch.stack((tool[:-1], tool[1:]), 1)
         segment, truth = drawn_push(model, IN_SPACE, truth, path, PADS, random)
         now, heavy = followed.with_segment(now, heavy, segment, random, opens=True, closes=True)
-    told = {name: (now.pose[:, k], truth.pose[0, k]) for k, name in enumerate(("x", "y", "turn", "", "", "tilt"))}
+    told = {name: (now.pose[:, k], truth.pose[0, k]) for name, k in (("x", 0), ("y", 1), ("turn", 2), ("tilt", 5))}
     told |= {name: (now.physics[:, k], truth.physics[0, k]) for k, name in enumerate(("friction", "lever"))}
-    del told[""]
     lot = torch.rand(1, generator=random, **DOUBLE)  # of what is the same, as what stands is level
     shares = heavy.exp()
     return {name: float(shares @ ((own < true) + lot * (own == true))) for name, (own, true) in told.items()}

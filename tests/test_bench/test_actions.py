@@ -55,7 +55,9 @@ class Listening:
         with state.clock("belief"):
             self.told[-1].append(result)
         step = state.record.step + 1
-        return SimpleNamespace(record=SimpleNamespace(step=step, timings_s=state.clock.take()), clock=state.clock)
+        reading = SimpleNamespace(in_contact=torch.tensor([False, step == 2]))
+        record = SimpleNamespace(step=step, timings_s=state.clock.take(), reading=reading)
+        return SimpleNamespace(record=record, clock=state.clock)
 
     def last(self, state: Any) -> int:
         return 0
@@ -83,3 +85,5 @@ def test_actions_are_replayed_without_the_simulator(monkeypatch: pytest.MonkeyPa
     assert task.asked == 3
     assert agent.told == [[1, 2, 3]] * 3  # once by the task, once timed, once more
     assert {"choice, median action, CPU ms", "belief, median action, CPU ms"} <= set(case.facts)
+    assert case.facts["touches"] == 1
+    assert case.facts["belief after a touch, longest, CPU ms"] >= case.facts["belief after a touch, median, CPU ms"]

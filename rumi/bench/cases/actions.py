@@ -19,6 +19,8 @@ from rumi.tasks.rummage.settings import preset
 
 _SEED = 0
 _ACTIONS = 8  # of a run, at most
+_FIXED = ("mug-0", "drill-0", "box-0", "shelf-mug", "touch-box", "peg", "handle")
+_DRAWN, _WHOLE = ("drill", "box", "drawn-shelf-box"), 40  # of which whole runs are replayed
 
 
 class Replay:
@@ -106,17 +108,17 @@ class _Timed:
 
 
 @cases(
-    {f"actions-{name}": (name,) for name in ("mug-0", "drill-0", "box-0", "shelf-mug", "touch-box", "peg", "handle")},
+    {f"actions-{name}": (name, _ACTIONS if name in _FIXED else _WHOLE) for name in (*_FIXED, *_DRAWN)},
     slow=True,
     host=True,
 )
-def actions(setup: Setup, name: str) -> Case:
+def actions(setup: Setup, name: str, most: int) -> Case:
     """A run of a task by its default, and its replay without the simulator."""
     entry = TASKS[name]
     settings = replace(entry.preset(entry.presets[0]), seed=_SEED)
     with entry.build(settings, cache_dir=setup.cache_dir) as parts:
         kept, agent = _Kept(parts.task), parts.agent
-        loop.run(kept, agent, seed=_SEED, steps=setup.size(_ACTIONS, 2))
+        loop.run(kept, agent, seed=_SEED, steps=setup.size(most, 2))
     task, steps = Replay(kept.results, kept.outcome), len(kept.results) - 1
 
     def run() -> int:
@@ -125,17 +127,22 @@ def actions(setup: Setup, name: str) -> Case:
         return len(records) - 1
 
     watched = [_Timed(agent) for _ in range(setup.size(3, 1))]
-    stages: list[dict[str, float]] = []
+    stages, touches = list[dict[str, float]](), list[list[float]]()
     for timed in watched:
         records: list[Any] = []
         loop.run(task, timed, seed=_SEED, steps=steps, on_step=records.append)
         stages.append(_medians([getattr(record, "timings_s", {}) for record in records[1:]]))
+        touches.append([record.timings_s.get("belief", 0.0) for record in records[1:] if _touched(record)])
     least = {stage: min(one[stage] for one in stages) for stage in stages[0]}
     facts = {
         "choice, median action, CPU ms": _least_median([timed.choices for timed in watched]),
         "update, median action, CPU ms": _least_median([timed.updates for timed in watched]),
         "update, longest, CPU ms": _ms(max(min(each) for each in zip(*(t.updates for t in watched), strict=True))),
     }
+    if touches[0]:
+        facts["touches"] = len(touches[0])
+        facts["belief after a touch, median, CPU ms"] = _least_median(touches)
+        facts["belief after a touch, longest, CPU ms"] = _ms(max(min(each) for each in zip(*touches, strict=True)))
     return Case(
         f"{steps} actions of {name} by its default, replayed: all but the simulator, the first belief included",
         (Variant(setup.versions[-1], run, version=setup.versions[-1]),),
@@ -145,6 +152,11 @@ def actions(setup: Setup, name: str) -> Case:
         facts=facts | {f"{stage}, median action, CPU ms": _ms(seconds) for stage, seconds in least.items()},
         rounds=3,
     )
+
+
+def _touched(record: object) -> bool:
+    felt = getattr(getattr(record, "reading", None), "in_contact", None)
+    return felt is not None and bool(felt.any())
 
 
 def _medians(timings: Sequence[dict[str, float]]) -> dict[str, float]:

@@ -133,9 +133,9 @@ def is_planar(spec: TaskSpec) -> bool:
 
 
 def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
-    """The widths of the sensors with what a robot's are stated to be off by: calibration, tool pose, the model's wear.
+    """The widths of sensors and heights with what they are stated to be off by: calibration, tool pose, wear, size.
 
-    Each is drawn once a run: in a random direction, of which one axis counts, or evenly up to a depth.
+    Each is drawn once a run: in a random direction, of which one axis counts, or evenly up to a depth, about the model.
     """
     worn, size = simulator.build.worn_m / math.sqrt(3.0), simulator.build.scale / math.sqrt(3.0)
     camera = simulator.sensors.calibration_m / math.sqrt(3.0)

@@ -185,7 +185,7 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
         # exchanged particles or were weighed by their evidence, what is felt standing still counted less, what is
         # pushed in space slipped, a camera that looks again was evidence of each particle's own motion, each cell that
         # a view sees through counted, what stands on its rim turned about it, the next touch was chosen in space, fewer
-        # particles stood for what has settled, and heights were uncertain
+        # particles stood for what has settled, and heights were uncertain; motions drawn again are half as many for all
         following = {"stated_errors": "noise", "motion": "measured", **values["filter"]}
         spec = (SCENES | DRAWN).get(values.get("task", ""))
         if spec is not None and spec.looks_again and "seen_again_points" not in following.get("trajectories", {}):
