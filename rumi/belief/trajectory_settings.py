@@ -138,7 +138,7 @@ class PoseTrajectorySettings:
     sampling_error: float = 0.05
     islands: int = 3
     exchanged: float | None = None
-    evidence_power: float = 0.2
+    evidence_power: float = 0.1
     branches: int = 6
     instants: int = 5
     lag: int = 10
