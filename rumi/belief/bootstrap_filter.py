@@ -44,7 +44,7 @@ _AGAIN, _WIDER = 0.5, 1.5  # share of so many that later draws are, and how much
 _A_MOTION = 6.0  # nats that a segment's sensed motion may cost where the model follows it but roughly
 _KERNEL = (0.0005, 0.0005, 0.01)  # deviations by which what is resampled moves: metres, metres, radians
 _KEPT = 0.98  # correlation of the physics from action to action
-_REMEMBERED = 10  # segments
+_REMEMBERED, _SAMPLING_ERROR = 10, 0.05  # segments; nats, of what is soon toppled
 _SWEPT, _ASIDE_M = 0.01, 0.001  # least share of a belief that the tool pushes unfelt before a first touch, and how far
 
 
@@ -85,6 +85,8 @@ class BootstrapFilter(PoseTrajectoryFilter):
     ) -> None:
         super().__init__(settings, discrepancy, model, prior, search)
         self.shown = SHOWN
+        if self.own.sampling_error is None:
+            self.own = replace(self.own, sampling_error=_SAMPLING_ERROR if model.unsteady else 0.0)
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
         """Draws of the prior."""
@@ -219,7 +221,10 @@ class BootstrapFilter(PoseTrajectoryFilter):
         whole, wanted, few = log_weights, max(1.0, len(now) / _FIT), max(1, int(_AGAIN * len(now)))
         for again in range(_TRIES):
             share = (_MORE_JUMPS if again else _JUMPS * opens) if jumps and len(segment.points) else 0.0
-            before = now.at(resample_systematic(log_weights, few, generator=random)) if again else now
+            before, base = now, log_weights
+            if again and self.own.sampling_error:
+                before = now.at(resample_systematic(log_weights, few, generator=random))
+                base = _even(before)
             some = self._some_jumped(before, segment, share, random)
             noise = normal((len(some), 1, NOISE), generator=random, dtype=torch.float64)
             if again:
@@ -228,7 +233,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
             found.append(after if segment.motion is None else after.moved_from(before.pose, self.model, self.own))
             gained = found[-1].log_likelihood[:, -1]
             check_finite(gained)
-            heavy.append((_even(before) if again else log_weights) + gained + math.log(len(before)))
+            heavy.append(base + gained + math.log(len(before)))
             whole = torch.cat(heavy)
             if float(effective_sample_size(whole)) >= wanted:
                 break

@@ -57,11 +57,11 @@ def particles_wanted(
         own: the settings.
         shown: draws by which it is narrow or not.
     """
-    many = own.unseen_particles
-    if own.sampling_error == 0:
+    many, error = own.unseen_particles, own.sampling_error or 0.0
+    if error == 0:
         narrow = is_narrow(poses[systematic(log_weights, 0.5, min(shown, len(poses)))])
         count = max(1, many // _FEWER) if narrow else many
         return count, count
     cells = occupied_cells(poses[systematic(log_weights, 0.5, many)])
-    count = min(many, max(own.fewest_particles, kld_sample_size(cells, own.sampling_error)))
+    count = min(many, max(own.fewest_particles, kld_sample_size(cells, error)))
     return count, int(_SPARE * count)

@@ -187,7 +187,14 @@ def test_another_belief_is_refused(box, prior):
 def test_islands_have_as_many_particles_as_each_needs(box, prior, exchanged):
     """One is narrow, one wide; their shares in the belief do not go by how many particles they have."""
     followed = follow(
-        box, prior, IslandFilter, unseen_particles=6000, fewest_particles=90, islands=3, exchanged=exchanged
+        box,
+        prior,
+        IslandFilter,
+        unseen_particles=6000,
+        fewest_particles=90,
+        sampling_error=0.05,
+        islands=3,
+        exchanged=exchanged,
     )
     belief, memory = begin(followed, prior)
     parts = []

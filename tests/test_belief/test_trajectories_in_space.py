@@ -187,7 +187,7 @@ def test_a_step_is_the_replay_of_its_segment(box, prior):
 
 def test_a_belief_that_is_narrow_has_fewer_particles(box, prior):
     """By the cells that it takes up; a third where no sampling error is set."""
-    followed = follow(box, prior, unseen_particles=2000, fewest_particles=50)
+    followed = follow(box, prior, unseen_particles=2000, fewest_particles=50, sampling_error=0.05)
     belief, _ = begin(followed, prior)
     every, even = followed.particles_of(belief)
     random = generator(3)

@@ -89,6 +89,7 @@ def test_the_truth_ranks_evenly_among_the_particles(episodes):
 IN_SPACE = PoseTrajectorySettings(
     unseen_particles=3000,
     fewest_particles=300,
+    sampling_error=0.05,
     outliers=1e-3,
     pad_slope_m=0.003,
     along=0.05,
