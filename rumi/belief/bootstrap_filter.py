@@ -44,7 +44,7 @@ _AGAIN, _WIDER = 0.5, 1.5  # share of so many that later draws are, and how much
 _A_MOTION = 6.0  # nats that a segment's sensed motion may cost where the model follows it but roughly
 _KERNEL = (0.0005, 0.0005, 0.01)  # deviations by which what is resampled moves: metres, metres, radians
 _KEPT = 0.98  # correlation of the physics from action to action
-_REMEMBERED, _SAMPLING_ERROR = 10, 0.05  # segments; nats, of what is soon toppled
+_REMEMBERED = 10  # segments
 _SWEPT, _ASIDE_M = 0.01, 0.001  # least share of a belief that the tool pushes unfelt before a first touch, and how far
 
 
@@ -85,8 +85,6 @@ class BootstrapFilter(PoseTrajectoryFilter):
     ) -> None:
         super().__init__(settings, discrepancy, model, prior, search)
         self.shown = SHOWN
-        if self.own.sampling_error is None:
-            self.own = replace(self.own, sampling_error=_SAMPLING_ERROR if model.unsteady else 0.0)
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
         """Draws of the prior."""

@@ -57,7 +57,7 @@ def particles_wanted(
         own: the settings.
         shown: draws by which it is narrow or not.
     """
-    many, error = own.unseen_particles, own.sampling_error or 0.0
+    many, error = own.unseen_particles, own.sampling_error
     if error == 0:
         narrow = is_narrow(poses[systematic(log_weights, 0.5, min(shown, len(poses)))])
         count = max(1, many // _FEWER) if narrow else many

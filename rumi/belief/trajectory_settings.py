@@ -48,7 +48,6 @@ class PoseTrajectorySettings:
         fewest_particles: the same at least, once it was touched, by KLD-sampling.
         sampling_error: Kullback-Leibler distance, nats, within which N particles are to stand for a belief that takes
             up so many cells of 5 mm and .1 rad (KLD-sampling). 0: a third of `unseen_particles` where it is narrow.
-            None: .05 of what is soon toppled, whose populations exchange particles, else 0.
         islands: populations that share these particles.
         exchanged: share of each population that comes from the others before an action with contact, which then has to
             explain it as well as those it came to. That brings back what one of them lost, and couples what they are
@@ -136,7 +135,7 @@ class PoseTrajectorySettings:
     first_particles: int = 0
     unseen_particles: int = 12000
     fewest_particles: int = 1800
-    sampling_error: float | None = None
+    sampling_error: float = 0.0
     islands: int = 3
     exchanged: float | None = None
     evidence_power: float = 0.2
@@ -321,7 +320,7 @@ class PoseTrajectorySettings:
             raise ValueError("Expected most, free_most, and the medians of friction and lever_ratio, to be above 0")
         if self.evidence_power > 1:
             raise ValueError(f"Expected evidence_power in [0, 1], got {self.evidence_power}")
-        if self.sampling_error is not None and 0 < self.sampling_error < 1e-6:
+        if 0 < self.sampling_error < 1e-6:
             raise ValueError(f"Expected sampling_error to be 0 or 1e-6 nats at least, got {self.sampling_error}")
         if self.shared > 1 or not 0 < self.outliers < 0.5:
             raise ValueError(f"Expected shared in [0, 1] and outliers in (0, 0.5), got {self.shared}, {self.outliers}")

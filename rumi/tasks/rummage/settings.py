@@ -184,15 +184,15 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
         # runs on record that do not say otherwise are of before errors of a whole run were particles' own, populations
         # exchanged particles or were weighed by their evidence, what is felt standing still counted less, what is
         # pushed in space slipped, a camera that looks again was evidence of each particle's own motion, each cell that
-        # a view sees through counted, what stands on its rim turned about it, the next touch was chosen in space, fewer
-        # particles stood for what has settled, and heights were uncertain; motions drawn again are half as many for all
+        # a view sees through counted, what stands on its rim turned about it, the next touch was chosen in space, and
+        # heights were uncertain
         following = {"stated_errors": "noise", "motion": "measured", **values["filter"]}
         spec = (SCENES | DRAWN).get(values.get("task", ""))
         if spec is not None and spec.looks_again and "seen_again_points" not in following.get("trajectories", {}):
             following["unmeasured"] = following.get("unmeasured") or "corrected"
         if "trajectories" in following:
             once: dict[str, Any] = {"exchanged": 0.0, "evidence_power": 0.0, "fresh_m": 0.0, "slip": 0.0, "rim": False}
-            once |= {"push_m": 0.0, "sampling_error": 0.0, "height_off": (0.0, 0.0)}
+            once |= {"push_m": 0.0, "height_off": (0.0, 0.0)}
             following["trajectories"] = once | following["trajectories"]
             if "free_points" not in following["trajectories"]:
                 again = spec is not None and spec.looks_again

@@ -153,12 +153,12 @@ def test_guarded_moves_need_pads_that_feel_points(cache):
 def test_runs_on_record_keep_what_their_errors_counted_as():
     made = to_dict(preset(task="mug"))
     del made["filter"]["stated_errors"], made["filter"]["motion"]
-    for name in ("exchanged", "evidence_power", "sampling_error", "height_off"):
+    for name in ("exchanged", "evidence_power", "height_off"):
         del made["filter"]["trajectories"][name]
     before = from_dict(made | {"made_with": {}}).filter
     assert before.stated_errors == "noise" and before.motion == "measured"
     assert before.trajectories.exchanged == 0.0 and before.trajectories.evidence_power == 0.0
-    assert before.trajectories.sampling_error == 0.0 and before.trajectories.height_off == (0.0, 0.0)
+    assert before.trajectories.height_off == (0.0, 0.0)
     assert from_dict(made).filter.stated_errors == "auto"
     made["filter"]["trajectories"]["exchanged"] = None  # said, but not how islands are weighed
     assert from_dict(made | {"made_with": {}}).filter.trajectories.evidence_power == 0.0
