@@ -84,11 +84,8 @@ class IslandFilter(BootstrapFilter):
         others = [self.followed(island, reading, generator=generator) for island in before[1:]]
         moved = info.moved | any(done.touched for _, done in others)
         resampled = info.resampled | any(done.resampled for _, done in others)
-        return (
-            self.mixture([first, *(island for island, _ in others)]),
-            memory,
-            FilterInfo(moved, resampled, info.added),
-        )
+        after = self.mixture([first, *(island for island, _ in others)])
+        return after, memory, FilterInfo(moved, resampled, info.added)
 
     def _exchanged(self, islands: Sequence[BootstrapBelief], random: torch.Generator) -> list[BootstrapBelief]:
         """The populations with a share of each drawn from the others, where particles may take part in a touch."""

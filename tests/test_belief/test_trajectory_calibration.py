@@ -43,6 +43,15 @@ OWN = PoseTrajectorySettings(
 PADS = torch.tensor([[0.035, y, 0.0] for y in (-0.045, -0.03, 0.03, 0.045)], **DOUBLE)
 
 
+def path_along(angle: float, along: torch.Tensor, aside_m: float, *height: float) -> torch.Tensor:
+    """A tool's way at its own yaw, by how far along that it is, and how far beside the origin."""
+    way = torch.tensor([math.cos(angle), math.sin(angle)], **DOUBLE)
+    aside = torch.tensor([-way[1], way[0]], **DOUBLE)
+    place = along[:, None] * way + aside_m * aside
+    tool = torch.cat((place, place.new_tensor((angle, *height)).expand(len(place), -1)), -1)
+    return torch.stack((tool[:-1], tool[1:]), 1)
+
+
 def episode(seed: int) -> dict[str, float]:
     """Ranks after a view of ten points and three pushes of a block, from three sides."""
     random = generator(seed)
@@ -61,13 +70,8 @@ def episode(seed: int) -> dict[str, float]:
     belief = followed.begin(fitted, Observation.of(points.float(), Semantics.SURFACE), generator=random)
     now, flat = belief.trajectories, belief.log_weights.double()
     for angle in (0.0, 2.0, 4.2):
-        way = torch.tensor([math.cos(angle), math.sin(angle)], **DOUBLE)
-        aside = torch.tensor([-way[1], way[0]], **DOUBLE)
-        back = torch.linspace(-0.115, -0.075, 9, **DOUBLE)[:, None]
         # the same way wherever the truth is: it says nothing of it
-        place = back * way + 0.012 * aside
-        tool = torch.cat((place, torch.full_like(back, angle)), -1)
-        path = torch.stack((tool[:-1], tool[1:]), 1)
+        path = path_along(angle, torch.linspace(-0.115, -0.075, 9, **DOUBLE), 0.012)
         segment, truth = drawn_push(model, OWN, truth, path, PADS, random)
         now = followed.absorbed(now, flat, segment, random, opens=True, closes=True)
     apart = now.pose - truth.pose
@@ -125,11 +129,7 @@ def episode_in_space(seed: int) -> dict[str, float]:
     now = Trajectories.drawn(drawn(IN_SPACE.unseen_particles), History.empty(4), random)
     heavy = torch.zeros(len(now), **DOUBLE).log_softmax(-1)
     for height, angle in TOUCHES:
-        way = torch.tensor([math.cos(angle), math.sin(angle)], **DOUBLE)
-        aside = torch.tensor([-way[1], way[0]], **DOUBLE)
-        place = torch.linspace(-0.1, -0.05, 9, **DOUBLE)[:, None] * way + 0.008 * aside
-        tool = torch.cat((place, torch.full((9, 1), angle, **DOUBLE), torch.full((9, 1), height, **DOUBLE)), -1)
-        path = torch.stack((tool[:-1], tool[1:]), 1)
+        path = path_along(angle, torch.linspace(-0.1, -0.05, 9, **DOUBLE), 0.008, height)
         segment, truth = drawn_push(model, IN_SPACE, truth, path, PADS, random)
         now, heavy = followed.with_segment(now, heavy, segment, random, opens=True, closes=True)
     told = {name: (now.pose[:, k], truth.pose[0, k]) for name, k in (("x", 0), ("y", 1), ("turn", 2), ("tilt", 5))}
