@@ -102,7 +102,8 @@ class Trajectories:
 
     def at(self, rows: Tensor) -> Self:
         """Some particles."""
-        return self._with([getattr(self, name)[rows] for name in _PARTS])
+        rows = rows.nonzero()[:, 0] if rows.dtype == torch.bool else rows
+        return self._with([getattr(self, name).index_select(0, rows) for name in _PARTS])
 
     @property
     def systematic(self) -> Float[Tensor, "N E"]:
@@ -148,12 +149,13 @@ class Trajectories:
             log_likelihood=self.log_likelihood.new_zeros(len(self), 1),
         )
         alone = alone.replayed(model, settings, history.last(), torch.zeros(len(self), dtype=torch.long))
-        longer = self.lengthened(noise, history)
-        poses, logs = (
-            torch.cat((own, new), 1)
-            for own, new in ((self.poses, alone.poses[:, 1:]), (self.log_likelihood, alone.log_likelihood))
+        return replace(
+            self,
+            noise=torch.cat((self.noise, noise), 1),
+            poses=torch.cat((self.poses, alone.poses[:, 1:]), 1),
+            log_likelihood=torch.cat((self.log_likelihood, alone.log_likelihood), 1),
+            history=history,
         )
-        return replace(longer, poses=poses, log_likelihood=logs)
 
     def moved_from(self, start: Float[Tensor, "N D"], model: Pushed, settings: PoseTrajectorySettings) -> Self:
         """The same where the last segment's motion counts from other poses than those before it, as where it jumped."""
@@ -167,6 +169,8 @@ class Trajectories:
 
     def joined(self, *others: Self) -> Self:
         """These particles and others of the same history."""
+        if not others:
+            return self
         return self._with([torch.cat([getattr(part, name) for part in (self, *others)]) for name in _PARTS])
 
     def remembered(self, most: int) -> Self:
