@@ -12,6 +12,7 @@ from torch import Tensor
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.systematic_errors import NUMBERS, SystematicErrors
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
@@ -33,7 +34,7 @@ def drawn_view(
     Args:
         model: the object.
         own: of the camera.
-        pose: of the object.
+        pose: of the object, as the camera has it.
         count: of points.
         random: of the draws.
     """
@@ -52,9 +53,9 @@ def drawn_view(
     return Segment(still, False, place, torch.zeros_like(kind), kind, torch.ones(count, dtype=torch.float64))
 
 
-def drawn_truth(pose: Float[Tensor, "D"], random: torch.Generator) -> Trajectories:
-    """One particle with physics of the prior, to which nothing has been done yet."""
-    physics = normal((1, PHYSICS), generator=random, dtype=torch.float64)
+def drawn_truth(pose: Float[Tensor, "D"], random: torch.Generator, *, systematic: bool = False) -> Trajectories:
+    """One particle with physics, and systematic errors if any, of the prior, to which nothing has been done yet."""
+    physics = normal((1, PHYSICS + NUMBERS * systematic), generator=random, dtype=torch.float64)
     none, history = pose.new_zeros(1, 0), History.empty(3 if len(pose) == 3 else 4)
     return Trajectories(physics, none[..., None].expand(1, 0, NOISE), pose[None, None], none, history, pose[None])
 
@@ -95,9 +96,13 @@ def drawn_push(
         )
         history = History.empty(path.shape[-1]).appended(alone)
         track.append(moved.replayed(model, own, history, torch.zeros(1, dtype=torch.long)).pose)
-    inverse = se3.inverse(model.world_T_object(torch.cat(track[1:]))).repeat_interleave(count, 0)
+    taken, worn_m = track[1:], points.new_zeros(1)
+    if own.systematic:
+        errors = SystematicErrors.of(own, truth.systematic)
+        taken, worn_m = [errors.felt(pose, tool) for pose, tool in zip(taken, after, strict=True)], errors.worn_m
+    inverse = se3.inverse(model.world_T_object(torch.cat(taken))).repeat_interleave(count, 0)
     local = se3.apply(inverse, points[:, None])[:, 0]
-    distance = model.sdf.distance(local.to(model.sdf.bounds)).double()
+    distance = model.sdf.distance(local.to(model.sdf.bounds)).double() + worn_m
     feels = own.outliers + (1.0 - 2.0 * own.outliers) * torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
     felt = torch.rand(len(feels), generator=random, dtype=torch.float64) < feels
     segment = segment._replace(kind=torch.where(felt, int(Kind.PAD_FELT), clear))

@@ -3,7 +3,8 @@
 Noise of a segment, or the physics, turns towards a fresh draw of its prior; noise of all segments from one on, with
 start pose and physics where that is the first, goes by the difference of two other particles. The particles are moved
 half by half, with differences of the other half, so that each half's proposals are symmetric whatever the other is.
-Friction and lever are drawn given those of all segments (Gibbs), which moves no trajectory.
+Friction and lever are drawn given those of all segments (Gibbs), which moves no trajectory. Systematic errors turn
+towards a fresh draw, and object, tool and view are translated together, of which readings can hardly tell.
 """
 
 import math
@@ -14,10 +15,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import OWN, Trajectories
+from rumi.belief.pose_trajectories import OWN, PHYSICS, Trajectories
 from rumi.belief.pushed_model import Pushed
+from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.sliding import rotated
 from sdf.so3 import wrap
 
 KERNEL = (0.0015, 0.0015, math.radians(2.0))
@@ -51,6 +54,7 @@ class Moves:
             given = self.shifted(given, history, whole=True)
             given = self.restarted(given, history)
             given = self.spun(given, history)
+            given = self.erred(self.translated(given, history), history)
             if len(history.moving()):
                 given = self.learnt(self.slid(given, history), history)
         return given
@@ -100,15 +104,53 @@ class Moves:
         return given
 
     def slid(self, given: Trajectories, history: History) -> Trajectories:
-        """Physics alone, all of it or one number, turned towards a fresh draw; what follows is replayed."""
+        """Physics of pushing alone, all of it or one number, turned towards a fresh draw; what follows is replayed."""
         count = len(given)
         angle = 0.5 * math.pi * self._uniform(count)[:, None] ** 2
-        fresh = angle.cos() * given.physics + angle.sin() * self._normal(given.physics.shape)
-        numbers = given.physics.shape[1]
-        one = (self._uniform(count) * numbers).long()[:, None] == torch.arange(numbers)
-        chosen = one | (self._uniform(count) < 0.3)[:, None]
-        proposed = replace(given, physics=torch.where(chosen, fresh, given.physics))
+        turned = self._turned_in_part(given.physics[:, :PHYSICS], angle)
+        proposed = replace(given, physics=torch.cat((turned, given.systematic), -1))
         return self.accepted(given, proposed, history, history.moving()[:1].expand(count))
+
+    def translated(self, given: Trajectories, history: History) -> Trajectories:
+        """Object, tool and what was seen translated together, by a draw of the errors' prior (Gibbs).
+
+        No reading tells of it as long as the tool does not turn; other moves go that way by small steps alone.
+        """
+        own = self.settings
+        if not own.tool_off_m > 0:
+            return given
+        errors = SystematicErrors.of(own, given.systematic)
+        yaw = (history.tool[-1, 1, 2] if len(history.tool) else 0.0) - errors.tool_rad
+        precision = own.tool_off_m**-2 + (own.view_off_m**-2 if own.view_off_m > 0 else 0.0)
+        mean = own.tool_off_m**-2 * rotated(errors.tool_m, yaw)
+        if own.view_off_m > 0:
+            mean = mean + own.view_off_m**-2 * errors.view_m
+        shift = mean / precision + self._normal(mean.shape) / math.sqrt(precision)
+        poses, physics = given.poses.clone(), given.physics.clone()
+        poses[:, 0, :2] += shift
+        physics[:, PHYSICS : PHYSICS + 2] -= rotated(shift, -yaw) / own.tool_off_m
+        if own.view_off_m > 0:
+            physics[:, PHYSICS + 4 :] -= shift / own.view_off_m
+        proposed = replace(given, poses=poses, physics=physics)
+        odds = self._start_prior(proposed) - self._start_prior(given)
+        return self.accepted(given, proposed, history, torch.zeros(len(given), dtype=torch.long), odds)
+
+    def erred(self, given: Trajectories, history: History) -> Trajectories:
+        """Systematic errors alone, all of them or one, turned towards a fresh draw; all is replayed."""
+        if not given.systematic.shape[1]:
+            return given
+        angle = 0.5 * math.pi * self._uniform(len(given))[:, None]
+        turned = self._turned_in_part(given.systematic, angle)
+        proposed = replace(given, physics=torch.cat((given.physics[:, :PHYSICS], turned), -1))
+        return self.accepted(given, proposed, history, torch.zeros(len(given), dtype=torch.long))
+
+    def _turned_in_part(self, numbers: Float[Tensor, "N P"], angle: Float[Tensor, "N 1"]) -> Float[Tensor, "N P"]:
+        """Standard normals, all of a particle's or one, turned by an angle towards a fresh draw."""
+        fresh = angle.cos() * numbers + angle.sin() * self._normal(numbers.shape)
+        count, each = numbers.shape
+        one = (self._uniform(count) * each).long()[:, None] == torch.arange(each)
+        chosen = one | (self._uniform(count) < 0.3)[:, None]
+        return torch.where(chosen, fresh, numbers)
 
     def learnt(self, given: Trajectories, history: History) -> Trajectories:
         """Friction and lever of each particle drawn given those of its pushed segments, which stay as they are."""

@@ -12,6 +12,7 @@ from rumi.belief.pushed_object import PushedObject
 from rumi.belief.systematic_errors import NUMBERS, SystematicErrors
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import told_by_silence
+from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.yaw_search import all_round
 from rumi.seeding import generator
@@ -181,3 +182,58 @@ def test_a_search_all_round_finds_the_yaw_that_registration_missed(model):
     best = found[replayed(model, EXACT, given).log_likelihood.sum(-1).argmax()]
     assert float((best[:2] - true[:2]).norm()) < 0.002
     assert abs(float(wrap(2.0 * (best[2] - true[2])[None]))) < math.radians(6.0)  # a block is the same turned by half
+
+
+def test_what_is_translated_with_the_tool_and_the_view_fits_as_before(model):
+    """Object, tool and view go together, so that no reading of a tool that does not turn tells of it."""
+    history = history_of_a_push()
+    history = replace(history, tool=history.tool + torch.tensor([0.0, 0.0, 0.05]) * (history.tool[..., 2:] == 0))
+    own = replace(OWN, tool_off_rad=0.0)
+    given = replayed(model, own, particles(history, 400, numbers(400)))
+    after = Moves(model, own, generator(6)).translated(given, history)
+    went = after.poses - given.poses
+    moved = went[:, 0].abs().amax(-1) > 0
+    assert float(moved.double().mean()) > 0.95
+    assert float(went[moved][:, 0, :2].norm(dim=-1).median()) > 1e-3
+    torch.testing.assert_close(went[:, -1], went[:, 0], atol=1e-6, rtol=0)  # the push is the same
+    torch.testing.assert_close(after.log_likelihood, given.log_likelihood, atol=2e-3, rtol=2e-4)
+    before, errors = (SystematicErrors.of(own, part.systematic) for part in (given, after))
+    taken = torch.tensor([0.2, -0.1, 0.05], **DOUBLE)
+    there = errors.tool(taken)[:, :2] - before.tool(taken)[:, :2]
+    torch.testing.assert_close(there, went[:, 0, :2], atol=1e-12, rtol=0)
+    torch.testing.assert_close(errors.view_m - before.view_m, -went[:, 0, :2], atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("view_off_m", [0.003, 0.0])
+@pytest.mark.parametrize("move", ["translated", "erred"])
+def test_moves_of_systematic_errors_keep_their_prior(model, move, view_off_m):
+    """Where nothing was sensed the numbers stay standard normal ones, and are soon others."""
+    none = torch.zeros(0, dtype=torch.long)
+    points = torch.zeros(0, 3, **DOUBLE)
+    still = Segment(torch.zeros(1, 2, 3, **DOUBLE), False, points, none, none, points[:, 0])
+    own = replace(OWN, view_off_m=view_off_m)
+    history = History.empty().appended(still)
+    given = replayed(model, own, particles(history, 4000, numbers(4000)))
+    moves, after = Moves(model, own, generator(8)), given
+    for _ in range(30):
+        after = getattr(moves, move)(after, history)
+    told = [0, 1, 4, 5] if view_off_m else [0, 1]
+    found, before = after.systematic[:, told], given.systematic[:, told]
+    assert float((found - before).abs().mean()) > 0.5
+    assert float(found.mean(0).abs().max()) < 0.06
+    torch.testing.assert_close(found.std(0), torch.ones(len(told), **DOUBLE), atol=0.05, rtol=0)
+    torch.testing.assert_close(after.physics[:, :PHYSICS], given.physics[:, :PHYSICS], atol=0, rtol=0)
+
+
+def test_nothing_is_translated_where_the_tool_is_where_it_is_taken_to_be(model):
+    history = history_of_a_push()
+    given = replayed(model, EXACT, particles(history, 10, None))
+    moves = Moves(model, EXACT, generator(6))
+    assert moves.translated(given, history) is given and moves.erred(given, history) is given
+
+
+def test_systematic_errors_move_before_anything_was_sensed(model):
+    nothing = History.empty()
+    given = particles(nothing, 50, numbers(50))
+    after = Moves(model, OWN, generator(6)).translated(given, nothing)
+    assert bool((after.poses[:, 0] != given.poses[:, 0]).any(-1).all())

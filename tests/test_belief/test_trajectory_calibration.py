@@ -14,6 +14,7 @@ from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -40,6 +41,8 @@ OWN = PoseTrajectorySettings(
     across=0.2,
     turn_rad_per_m=2.0,
 )
+OFF = replace(OWN, tool_off_m=0.003, view_off_m=0.003)
+ERRORS = {"tool x": 0, "tool y": 1, "view x": 4, "view y": 5}
 PADS = torch.tensor([[0.035, y, 0.0] for y in (-0.045, -0.03, 0.03, 0.045)], **DOUBLE)
 
 
@@ -52,39 +55,51 @@ def path_along(angle: float, along: torch.Tensor, aside_m: float, *height: float
     return torch.stack((tool[:-1], tool[1:]), 1)
 
 
-def episode(seed: int) -> dict[str, float]:
+def episode(seed: int, own: PoseTrajectorySettings) -> dict[str, float]:
     """Ranks after a view of ten points and three pushes of a block, from three sides."""
     random = generator(seed)
     sdf = GridSDF.from_sdf(Box([0.04, 0.06, 0.03]), 0.003)
     model = PushedObject.of(sdf, GripperShape(), height_m=0.03, resting_m=0.03, spacing_m=0.008, pad_spacing_m=0.008)
     spread = torch.tensor([0.02, 0.02, 0.5], **DOUBLE)
     pose = spread * torch.randn(3, generator=random, **DOUBLE)
-    truth = drawn_truth(pose, random)
-    view = drawn_view(model, OWN, pose, SEEN, random)
+    truth = drawn_truth(pose, random, systematic=own.systematic)
+    seen = taken_by_the_camera(truth, own)
+    view = drawn_view(model, own, seen, SEEN, random)
     points = view.points + torch.tensor([0.0, 0.0, 0.03], **DOUBLE)
-    # of poses about the truth, of which the filter draws its own and weighs them
-    about = pose + 0.05 * spread * torch.randn(20, 3, generator=random, **DOUBLE)
+    # of poses about the one that was seen, of which the filter draws its own and weighs them
+    about = seen + 0.05 * spread * torch.randn(20, 3, generator=random, **DOUBLE)
     fitted = PoseBelief.uniform(se3.from_planar(about.float(), 0.03))
-    settings = replace(FilterSettings(motion="trajectory"), trajectories=OWN)
+    settings = replace(FilterSettings(motion="trajectory"), trajectories=own)
     followed = PoseTrajectoryFilter(settings, Discrepancy(sdf, 0.08, free_scale=80.0, tolerance=0.001), model)
     belief = followed.begin(fitted, Observation.of(points.float(), Semantics.SURFACE), generator=random)
     now, flat = belief.trajectories, belief.log_weights.double()
     for angle in (0.0, 2.0, 4.2):
         # the same way wherever the truth is: it says nothing of it
         path = path_along(angle, torch.linspace(-0.115, -0.075, 9, **DOUBLE), 0.012)
-        segment, truth = drawn_push(model, OWN, truth, path, PADS, random)
+        segment, truth = drawn_push(model, own, truth, path, PADS, random)
         now = followed.absorbed(now, flat, segment, random, opens=True, closes=True)
     apart = now.pose - truth.pose
     return {
         **{name: float((apart[:, k] < 0).double().mean()) for k, name in enumerate(("x", "y", "turn"))},
         "friction": float((now.physics[:, 0] < truth.physics[:, 0]).double().mean()),
         "lever": float((now.physics[:, 1] < truth.physics[:, 1]).double().mean()),
+        **{
+            name: float((now.systematic[:, k] < truth.systematic[:, k]).double().mean())
+            for name, k in ERRORS.items()
+            if own.systematic
+        },
     }
 
 
+def taken_by_the_camera(truth: Trajectories, own: PoseTrajectorySettings) -> torch.Tensor:
+    """Where a camera has the object at first."""
+    return SystematicErrors.of(own, truth.systematic).seen(truth.pose)[0] if own.systematic else truth.pose[0]
+
+
+@pytest.mark.parametrize("own", [OWN, OFF], ids=["noise alone", "systematic errors"])
 @pytest.mark.parametrize("episodes", [30, pytest.param(150, marks=pytest.mark.slow)])
-def test_the_truth_ranks_evenly_among_the_particles(episodes):
-    found = [episode(seed) for seed in range(episodes)]
+def test_the_truth_ranks_evenly_among_the_particles(episodes, own):
+    found = [episode(seed, own) for seed in range(episodes)]
     bins = 5 if episodes < 100 else 10
     for name in found[0]:
         assert rank_test([ranks[name] for ranks in found], bins=bins) > 0.01 / len(found[0]), name
