@@ -4,8 +4,8 @@ After a touch that several ways of lying explain a population keeps those that i
 forgets the others: it is sure of what another draw of the same numbers denies. Populations with nothing in common show
 what the draws have decided: what they disagree on is not known (island particles of Verge, Dubarry, Del Moral and
 Moulines 2015, without their interaction). Their estimates of the evidence differ by 5 to 20 nats where nothing but the
-draws does, so that they are weighed by a small power of it. Where pushes go otherwise than the model has them a
-population may lose the truth; there they exchange a few particles, and have even shares.
+draws does, so that they are weighed by a small power of it. Where they are asked to exchange a few particles, so that
+one that lost the truth finds back, they have even shares.
 """
 
 import math
@@ -31,8 +31,6 @@ from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
-
-_EXCHANGED = 0.05  # share of what is soon toppled: pushes go otherwise than the model has them, and islands get lost
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,7 @@ class IslandFilter(BootstrapFilter):
         count = self.own.islands
         most, least = (max(1, many // count) for many in (self.own.unseen_particles, self.own.fewest_particles))
         self.own = replace(self.own, unseen_particles=most, fewest_particles=least)
-        usual = _EXCHANGED if model.unsteady else 0.0
-        self.exchanged = usual if self.own.exchanged is None else self.own.exchanged
+        self.exchanged = self.own.exchanged
         # evidence of particles that came from elsewhere is no population's own
         self.evidence_power = 0.0 if self.exchanged > 0 else self.own.evidence_power
         self.shown = max(1, SHOWN // count)

@@ -51,7 +51,7 @@ class PoseTrajectorySettings:
         islands: populations that share these particles.
         exchanged: share of each population that comes from the others before an action with contact, which then has to
             explain it as well as those it came to. That brings back what one of them lost, and couples what they are
-            sure of. None: .05 of what is soon toppled, else 0.
+            sure of.
         evidence_power: of each population's evidence, by which it is weighed where nothing is exchanged: 1 as if no
             noise were in it, 0 evenly.
         branches: motions drawn for each particle when a segment comes in.
@@ -137,7 +137,7 @@ class PoseTrajectorySettings:
     fewest_particles: int = 1800
     sampling_error: float = 0.0
     islands: int = 3
-    exchanged: float | None = None
+    exchanged: float = 0.0
     evidence_power: float = 0.2
     branches: int = 6
     instants: int = 5

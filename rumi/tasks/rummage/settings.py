@@ -194,6 +194,8 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
             once: dict[str, Any] = {"exchanged": 0.0, "evidence_power": 0.0, "fresh_m": 0.0, "slip": 0.0, "rim": False}
             once |= {"push_m": 0.0, "height_off": (0.0, 0.0)}
             following["trajectories"] = once | following["trajectories"]
+            if following["trajectories"]["exchanged"] is None:  # once a twentieth of what is soon toppled, else none
+                following["trajectories"]["exchanged"] = 0.05 if values.get("task", "").startswith("drill") else 0.0
             if "free_points" not in following["trajectories"]:
                 again = spec is not None and spec.looks_again
                 following["trajectories"] |= _views_alike(following["trajectories"], again=again)

@@ -162,6 +162,8 @@ def test_runs_on_record_keep_what_their_errors_counted_as():
     assert from_dict(made).filter.stated_errors == "auto"
     made["filter"]["trajectories"]["exchanged"] = None  # said, but not how islands are weighed
     assert from_dict(made | {"made_with": {}}).filter.trajectories.evidence_power == 0.0
+    for task, exchanged in (("mug", 0.0), ("box", 0.0), ("drill", 0.05), ("drill-1", 0.05)):
+        assert from_dict(made | {"made_with": {}, "task": task}).filter.trajectories.exchanged == exchanged
 
 
 def test_runs_on_record_keep_how_mugs_were_pushed():
