@@ -216,18 +216,24 @@ def test_metropolis_moves_keep_a_posterior_that_a_grid_gives(model):
     torch.testing.assert_close(given.physics.std(0), torch.ones(PHYSICS, **DOUBLE), rtol=0.15, atol=0)
 
 
-def test_moves_keep_the_posterior_of_motion_and_physics_that_draws_of_the_prior_give(model):
+@pytest.mark.parametrize("off_m", [0.0, 0.0015])
+def test_moves_keep_the_posterior_of_motion_and_physics_that_draws_of_the_prior_give(model, off_m):
     """Of readings drawn from the model: weighted draws of its prior, and after many moves, have the same moments."""
     own = replace(OWN, pad_slope_m=0.001, friction=(0.4, 0.6), friction_change=0.3, lever_ratio=(1.25, 0.3))
     own = replace(own, along=0.03, across=0.03, turn_rad_per_m=0.5, seen_sd_m=0.001, centre_change_m=0.002)
-    random, pose, count = generator(18), torch.zeros(3, **DOUBLE), 40000
-    view = drawn_view(model, own, pose, 12, random)
+    own = replace(own, tool_off_m=off_m, view_off_m=off_m)  # by as much as one deviation, each another way
+    random, pose, count = generator(18), torch.zeros(3, **DOUBLE), 40000 if off_m == 0 else 150_000
+    errors = torch.tensor([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0]], **DOUBLE)[:, : 6 * own.systematic]
+    seen = torch.tensor([0.0, -off_m, 0.0], **DOUBLE)
+    view = drawn_view(model, own, seen, 12, random)
     truth = drawn_truth(pose, random)
-    truth = replace(truth, physics=torch.tensor([[1.5, -1.0, 0.0, 0.0, 0.0]], **DOUBLE))
+    truth = replace(truth, physics=torch.cat((torch.tensor([[1.5, -1.0, 0.0, 0.0, 0.0]], **DOUBLE), errors), -1))
     push, _ = drawn_push(model, own, truth, approach(count=10, y=0.03), model.pads[::6], random)
     history = History.empty().appended(view).appended(push)
-    scale = torch.tensor([0.001, 0.001, 0.03], **DOUBLE)
+    scale = torch.tensor([0.001 + off_m, 0.001 + off_m, 0.03], **DOUBLE)
     prior = drawn(history, count, spread=scale.tolist())
+    numbers = torch.randn(count, errors.shape[1], generator=random, **DOUBLE)
+    prior = replace(prior, physics=torch.cat((prior.physics, numbers), -1))
     prior = prior.replayed(model, own, history, torch.zeros(count, dtype=torch.long))
     off = prior.poses[:, 0] / scale
     weights = prior.log_likelihood.sum(-1) + 0.5 * off.square().sum(-1)  # start poses are even
@@ -235,7 +241,7 @@ def test_moves_keep_the_posterior_of_motion_and_physics_that_draws_of_the_prior_
     def moments(some: Trajectories, weights: torch.Tensor) -> torch.Tensor:
         last = some.poses[:, -1].clone()
         last[:, 2] = same_from_behind(last[:, 2])
-        parts = torch.cat((last / scale, some.physics[:, :2], some.noise[:, 1, :2]), -1)
+        parts = torch.cat((last / scale, some.physics[:, :2], some.noise[:, 1, :2], some.systematic), -1)
         mean = weights @ parts
         return torch.stack((mean, (weights @ (parts - mean).square()).sqrt()))
 
