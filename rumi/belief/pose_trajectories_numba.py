@@ -2,55 +2,108 @@
 
 import math
 
+import numba
 import numpy as np
 
+from rumi.belief.facing_numba import told_by_view, toward_camera
 from rumi.belief.silence_numba import SILENT, told_by_silence
-from rumi.belief.trajectory_likelihood import FACING
-from rumi.dynamics.sliding_numba import gathered, settled, slope, turned, value
+from rumi.dynamics.sliding_numba import gathered, settled, slope, turned
 from sdf.compiled import Kernel, bare
-from sdf.grid_numba import between, fast, lattice_of
+from sdf.grid_numba import between, block, exact, fast, lattice_of
 from sdf.grid_numba import value as distance_at
-from sdf.intrinsics_numba import at
+from sdf.intrinsics_numba import at, next_to, node, put, whole
 from sdf.part_numba import indices
+
+GROUP = 8
+"""Points of the tool's border that are left out together: as many as are looked up at a time."""
 
 _SLACK = 1e-6  # nats by which sums in another order may differ
 
 
+@block
+def _value(x, y, values, numbers):
+    """Signed distance at a point of the object's frame, as `sliding_numba.value` has it, without a branch."""
+    low_x, low_y, spacing, last_x, last_y, columns = numbers
+    u, v = (x - low_x) / spacing, (y - low_y) / spacing
+    a = u if u > 0.0 else 0.0
+    a = a if a < last_x else last_x
+    b = v if v > 0.0 else 0.0
+    b = b if b < last_y else last_y
+    far_x, far_y = spacing * (u - a), spacing * (v - b)
+    i, j = whole(a if a < last_x - 1.0 else last_x - 1.0), whole(b if b < last_y - 1.0 else last_y - 1.0)
+    a, b = a - i, b - j
+    one = numba.int32(1)
+    near = node(i, j, numba.int32(0), columns, one)
+    beside = next_to(near, columns)
+    v00, v10 = at(values, near), at(values, beside)
+    low = v00 + b * (at(values, next_to(near, one)) - v00)
+    high = v10 + b * (at(values, next_to(beside, one)) - v10)
+    there = low + a * (high - low)
+    beyond = math.sqrt(there * there + far_x * far_x + far_y * far_y)
+    return beyond if (far_x != 0.0) | (far_y != 0.0) else there
+
+
+@exact
+def _bounds(placed, radius, slack, groups, values, numbers, least):
+    """Least distance from the object that points of each of the tool's groups can have; infinite for what is apart."""
+    off_x, off_y, cos, sin = placed
+    count = len(groups) // 3
+    for g in range(count):
+        px, py, far = at(groups, g), at(groups, count + g), at(groups, 2 * count + g)
+        x, y = off_x + cos * px - sin * py, off_y + sin * px + cos * py
+        reach = radius + far
+        found = _value(x, y, values, numbers) - far - slack
+        put(least, g, math.inf if x * x + y * y > reach * reach else found)
+
+
+@exact
+def _distances(first, placed, square, tool, values, numbers, found):
+    """Distance from the object of each point of a group; infinite for what cannot be in it, whatever its yaw."""
+    off_x, off_y, cos, sin = placed
+    count = len(tool) // 2
+    for k in range(GROUP):
+        px, py = at(tool, first + k), at(tool, count + first + k)
+        x, y = off_x + cos * px - sin * py, off_y + sin * px + cos * py
+        there = _value(x, y, values, numbers)
+        put(found, k, math.inf if x * x + y * y > square else there)
+
+
 @bare
-def _deepest(x, y, yaw, at_tool, worn, tool, groups, table, numbers):
+def _deepest(x, y, yaw, at_tool, worn, shape):
     """Least distance of the tool's border from the object, the point there, and its place in the object's frame.
 
     A group of points is left out where its disc is too far for one of them to be in the object, or deeper than found;
-    a negative wear lets the object be that much larger.
+    a negative wear lets the object be that much larger. Of two points as deep it is the first.
     """
+    tool, groups, table, numbers, near, found = shape
     tool_x, tool_y, tool_cos, tool_sin = at_tool
     cos, sin = math.cos(yaw), math.sin(yaw)
     off_x, off_y = tool_x - x, tool_y - y
     off_x, off_y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
     cos, sin = tool_cos * cos + tool_sin * sin, tool_sin * cos - tool_cos * sin
+    placed = (off_x, off_y, cos, sin)
     edge = max(0.0, -worn)
     # between nodes at a corner the table is below 0 a little beyond its radius
     radius, slack = numbers[4] + numbers[2] + edge, 2.0 * numbers[2]
-    square = radius * radius
-    least, best, at_x, at_y = math.inf, 0, 0.0, 0.0
-    for group in range(len(groups)):
-        place_x = off_x + cos * groups[group, 0] - sin * groups[group, 1]
-        place_y = off_y + sin * groups[group, 0] + cos * groups[group, 1]
-        far = groups[group, 2]
-        if place_x * place_x + place_y * place_y > (radius + far) * (radius + far):
+    lattice = (numbers[0], numbers[1], numbers[2], table.shape[0] - 1.0, table.shape[1] - 1.0, np.int32(table.shape[1]))
+    values, count = table.reshape(-1), len(tool) // 2
+    _bounds(placed, radius, slack, groups, values, lattice, near)
+    least, best, first = math.inf, count, 0
+    for group in range(1, len(near)):
+        first = group if near[group] < near[first] else first
+    for turn in range(-1, len(near)):
+        group = first if turn < 0 else turn
+        if turn == first or near[group] > min(least, edge):
             continue
-        found = value(place_x, place_y, table, numbers[0], numbers[1], numbers[2])
-        if found - far - slack > min(least, edge):
-            continue
-        for k in range(int(groups[group, 3]), int(groups[group, 4])):
-            place_x = off_x + cos * tool[k, 0] - sin * tool[k, 1]
-            place_y = off_y + sin * tool[k, 0] + cos * tool[k, 1]
-            if place_x * place_x + place_y * place_y > square:  # not within the object, whatever its yaw
-                continue
-            found = value(place_x, place_y, table, numbers[0], numbers[1], numbers[2])
-            if found < least:
-                least, best, at_x, at_y = found, k, place_x, place_y
-    return least, best, at_x, at_y
+        _distances(GROUP * group, placed, radius * radius, tool, values, lattice, found)
+        for k in range(GROUP):
+            point = GROUP * group + k
+            if found[k] < least or (found[k] == least and point < best):
+                least, best = found[k], point
+    if not least < math.inf:
+        return least, 0, 0.0, 0.0
+    px, py = tool[best], tool[count + best]
+    return least, best, off_x + cos * px - sin * py, off_y + sin * px + cos * py
 
 
 @fast
@@ -68,41 +121,10 @@ def _readings(first, last, pose, worn, points, weight, row, logs, inverse, flat,
     return total
 
 
-@fast
-def _seen(first, last, pose, worn, toward, step, points, weight, row, logs, inverse, flat, lattice):
-    """The same of points that a camera saw, of their distances from the surface that faces it."""
-    x, y, cos, sin = pose
-    step_x, step_y, step_z = toward
-    count, nodes = len(weight), logs.shape[1]
-    priced = logs.reshape(-1)
-    half, top = np.float32(0.5 * (nodes - 1)) + worn * inverse, np.float32(nodes - 1.01)
-    total = np.float32(0.0)
-    for m in range(first, last):
-        dx, dy, z = at(points, m) - x, at(points, count + m) - y, at(points, 2 * count + m)
-        place_x, place_y = cos * dx + sin * dy, cos * dy - sin * dx
-        now, gone, goes = distance_at(place_x, place_y, z, flat, lattice), np.float32(0.0), True
-        for turn in range(1, FACING + 1):
-            way = np.float32(turn)
-            ahead = distance_at(place_x + way * step_x, place_y + way * step_y, z + way * step_z, flat, lattice)
-            goes = goes and ahead < now
-            now = ahead if goes else now
-            gone = way * step if goes else gone
-        total += at(weight, m) * between((now - gone) * inverse + half, top, priced, at(row, m))
-    return total
-
-
-@bare
-def _toward(x, y, cos, sin, eye, step):
-    """A step from the object towards the camera, in the object's frame."""
-    dx, dy, dz = eye[0] - x, eye[1] - y, eye[2]
-    size = step / max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
-    return np.float32(size * (cos * dx + sin * dy)), np.float32(size * (cos * dy - sin * dx)), np.float32(size * dz)
-
-
 @bare
 def _apart(x, y, yaw, before, after, worn, shape):
     """Whether the tool, where it ends, is farther from the object than it went: it touched nothing on the way."""
-    tool, groups, table, numbers = shape
+    numbers = shape[3]
     way_x, way_y = after[0] - before[0], after[1] - before[1]
     travel = math.sqrt(way_x * way_x + way_y * way_y) + (numbers[3] - numbers[4]) * abs(after[2] - before[2])
     far_x, far_y, reach = after[0] - x, after[1] - y, numbers[3] + travel
@@ -110,22 +132,22 @@ def _apart(x, y, yaw, before, after, worn, shape):
         return True
     placed = (after[0], after[1], math.cos(after[2]), math.sin(after[2]))
     edge = travel + max(0.0, -worn)
-    return _deepest(x, y, yaw, placed, -edge, tool, groups, table, numbers)[0] > edge
+    return _deepest(x, y, yaw, placed, -edge, shape)[0] > edge
 
 
 @bare
 def _slid(x, y, yaw, before, after, worn, shape, rim, body):
     """Pose after a small push, and whether there was one."""
-    tool, groups, table, numbers = shape
+    tool, table, numbers = shape[0], shape[2], shape[3]
     from_x, from_y, tool_x, tool_y, tool_yaw = before[0], before[1], after[0], after[1], after[2]
     if (tool_x - x) ** 2 + (tool_y - y) ** 2 >= numbers[3] * numbers[3]:
         return x, y, yaw, False
     tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
     placed = (tool_x, tool_y, tool_cos, tool_sin)
-    apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, tool, groups, table, numbers)
+    apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, shape)
     if not apart + worn < 0.0:
         return x, y, yaw, False
-    first = (x, y, yaw)
+    first, count = (x, y, yaw), len(tool) // 2
     way_x, way_y = tool_x - from_x, tool_y - from_y
     way = (way_x, way_y, tool_yaw - before[2])
     length = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-12)
@@ -139,7 +161,7 @@ def _slid(x, y, yaw, before, after, worn, shape, rim, body):
     centre_x, centre_y = body[0] + ahead * in_x, body[1] + ahead * in_y
     for again in range(2):
         if again:
-            apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, tool, groups, table, numbers)
+            apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, shape)
             if not apart + worn < 0.0:
                 break
         gx, gy = slope(at_x, at_y, table, numbers[0], numbers[1], numbers[2])
@@ -153,8 +175,8 @@ def _slid(x, y, yaw, before, after, worn, shape, rim, body):
             (tool_x, tool_y),
             way,
             turned(-way[2]),
-            tool_cos * tool[k, 0] - tool_sin * tool[k, 1],
-            tool_sin * tool[k, 0] + tool_cos * tool[k, 1],
+            tool_cos * tool[k] - tool_sin * tool[count + k],
+            tool_sin * tool[k] + tool_cos * tool[count + k],
             gx,
             gy,
             -worn - apart,
@@ -231,7 +253,7 @@ def _sensed(x, y, yaw, taken, seen, errors):
 
 
 @bare
-def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lattice):
+def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lattice, room):
     """One particle, from its own segment on; what cannot reach its least log-likelihood any more is given up."""
     first, least, poses, found, physics, noises = particles
     path, pushes, ends, action, point_ends = done
@@ -281,9 +303,9 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
                     shown = point
                     while shown < behind and row[shown] == 0:
                         shown += 1
-                    toward = _toward(at_x, at_y, math.cos(turned), math.sin(turned), eye, scales[22])
-                    log += _seen(
-                        point, shown, pose, thin, toward, step, points, weight, row, logs, inverse, flat, lattice
+                    toward = toward_camera(at_x, at_y, math.cos(turned), math.sin(turned), eye, scales[22])
+                    log += told_by_view(
+                        point, shown, pose, thin, toward, step, points, weight, row, logs, inverse, flat, lattice, room
                     )
                     point = shown
                 log += _readings(point, behind, pose, thin, points, weight, row, logs, inverse, flat, lattice)
@@ -300,9 +322,12 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
 
 
 def _replay(particles, done, sensed, shape, scales, logs, errors, eye, grid, part):
-    lattice = lattice_of(grid[1], grid[2])
+    lattice, count = lattice_of(grid[1], grid[2]), len(sensed[1])
+    room = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
+    tool, groups, table, numbers = shape
+    shape = tool, groups, table, numbers, np.empty(len(groups) // 3), np.empty(GROUP)
     for n in indices(part, len(particles[0])):
-        _one(np.int64(n), particles, done, sensed, shape, scales, logs, errors, eye, grid[0], lattice)
+        _one(np.int64(n), particles, done, sensed, shape, scales, logs, errors, eye, grid[0], lattice, room)
 
 
 replay = Kernel(_replay)

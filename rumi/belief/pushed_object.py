@@ -26,7 +26,6 @@ from sdf.base import SDF
 _ROUND_M = 1e-4  # by which a circle may differ from one
 _ABOVE_M = 1e-3  # that a lifted tool is above the object
 _FEW = 16  # points of the tool's border, about, of which the nearest to an object is taken to touch it
-_GROUP = 8  # points of the tool's border that the compiled version leaves out together
 
 
 def parts_of(before: Float[Tensor, "3"], after: Float[Tensor, "3"], radius_m: float, most_m: float) -> int:
@@ -254,18 +253,21 @@ class PushedObject:
     def arrays(self) -> tuple[np.ndarray, ...]:
         """Tool, groups of its points that are neighbours, outline and numbers, as the compiled version takes them.
 
-        A group is the centre of its points (x, y), how far they are from it, and the first of them and the one behind.
+        Points by coordinate, the last one again until there are GROUP groups of GROUP points, or a multiple of them; of
+        groups the centres of their points (x, y), and how far these are from it.
         """
-        groups = []
-        for first in range(0, len(self.tool), _GROUP):
-            some = self.tool[first : first + _GROUP]
-            centre = 0.5 * (some.amin(0) + some.amax(0))
-            far = float((some - centre).norm(dim=-1).max())
-            groups.append((*centre.tolist(), far, first, first + len(some)))
+        from rumi.belief.pose_trajectories_numba import GROUP
+
+        more = -len(self.tool) % (GROUP * GROUP)
+        tool = torch.cat((self.tool, self.tool[-1:].expand(more, 2)))
+        parts = tool.view(-1, GROUP, 2)
+        centre = 0.5 * (parts.amin(1) + parts.amax(1))
+        far = (parts - centre[:, None]).norm(dim=-1).amax(1)
+        groups = torch.cat((centre.T.flatten(), far))
         outline = self.outline
         place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
         numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m))
-        return arrays_of((self.tool, self.tool.new_tensor(groups), outline.values, numbers))
+        return arrays_of((tool.T.flatten(), groups, outline.values, numbers))
 
 
 @backend.register("replay_trajectories", "numba", compiled.supports)

@@ -103,8 +103,7 @@ def felt_pads(reading: Reading, model: Pushed, own: PoseTrajectorySettings) -> B
         there = reading.observation.points[surface & (reading.instant == instant)].double()
         if len(there):
             back = se3.apply(se3.inverse(reading.tool_pose[instant].double()), there)
-            low, high = back.amin(0) - near, back.amax(0) + near
-            some = ((model.reported > low) & (model.reported < high)).all(-1).nonzero()[:, 0]
+            some = _between(model.reported, back, near)
             found[instant, some] = torch.cdist(model.reported[some], back).amin(-1) < near
     return found
 
@@ -125,9 +124,17 @@ def besides(
     points: Observation, tool_pose: Float[Tensor, "4 4"], model: Pushed, own: PoseTrajectorySettings
 ) -> Observation:
     """Those points that the pads of a tool are not at."""
-    back = se3.apply(se3.inverse(tool_pose.double()), points.points.double())
-    apart = torch.cdist(back, model.reported).amin(-1) >= _OWN * own.pad_spacing_m
+    back, near = se3.apply(se3.inverse(tool_pose.double()), points.points.double()), _OWN * own.pad_spacing_m
+    apart = torch.ones(len(back), dtype=torch.bool)
+    about = _between(back, model.reported, near)
+    apart[about] = torch.cdist(back[about], model.reported).amin(-1) >= near
     return points[apart.nonzero()[:, 0]]
+
+
+def _between(points: Float[Tensor, "M 3"], others: Float[Tensor, "m 3"], near: float) -> Int[Tensor, "k"]:
+    """The points in a box about others that is so much larger on every side."""
+    low, high = others.amin(0) - near, others.amax(0) + near
+    return ((points > low) & (points < high)).all(-1).nonzero()[:, 0]
 
 
 def pushed(

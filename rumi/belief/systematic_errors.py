@@ -18,6 +18,9 @@ from rumi.dynamics.sliding import rotated
 NUMBERS = 6
 """Standard normals of a particle: where its tool is taken to be (x, y, yaw), its wear, and its view (x, y)."""
 
+VIEWED = 3
+"""The first of them that count for what a camera sees: wear, and the view."""
+
 
 @dataclass(frozen=True)
 class SystematicErrors:

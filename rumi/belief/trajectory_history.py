@@ -185,6 +185,14 @@ class History:
         """The segments in which the object may have been pushed."""
         return self.pushes[self.ends - 1].nonzero()[:, 0]
 
+    def shown(self) -> int:
+        """Number of segments at the beginning of which a camera alone told."""
+        begins = torch.cat((self.ends.new_zeros(1), self.point_ends[self.ends - 1]))
+        told = begins[1:] > begins[:-1]
+        alone = told & ~self.pushes[self.ends - 1]
+        alone[told] &= self.kind[begins[:-1][told]] == Kind.SEEN
+        return int(alone.long().cumprod(0).sum())
+
     def since_push(self) -> Int[Tensor, "m"]:
         """The points that were sensed after the last push."""
         moving = self.moving()

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rumi.belief.pose_trajectories import OWN, PHYSICS, Trajectories
 from rumi.belief.pushed_model import Pushed
-from rumi.belief.systematic_errors import SystematicErrors
+from rumi.belief.systematic_errors import VIEWED, SystematicErrors
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
@@ -27,6 +27,7 @@ KERNEL = (0.0015, 0.0015, math.radians(2.0))
 """Deviations of start poses drawn anew about those that are left open."""
 
 _AFRESH, _SPUN = 0.15, 0.3
+_AT_ONCE = 1 << 16  # pairs of poses whose densities are worked out together: what a processor's cache holds
 _FAR = 1e4  # minus the log-density of what is never drawn: finite, since differences of it are taken
 
 
@@ -114,7 +115,8 @@ class Moves:
     def translated(self, given: Trajectories, history: History) -> Trajectories:
         """Object, tool and what was seen translated together, by a draw of the errors' prior (Gibbs).
 
-        No reading tells of it as long as the tool does not turn; other moves go that way by small steps alone.
+        No reading tells of it as long as the tool does not turn, and no view at all, so that those are not weighed
+        anew; other moves go that way by small steps alone.
         """
         own = self.settings
         if not own.tool_off_m > 0:
@@ -127,22 +129,24 @@ class Moves:
             mean = mean + own.view_off_m**-2 * errors.view_m
         shift = mean / precision + self._normal(mean.shape) / math.sqrt(precision)
         poses, physics = given.poses.clone(), given.physics.clone()
-        poses[:, 0, :2] += shift
+        told = history.shown() if own.view_off_m > 0 else 0
+        poses[:, : told + 1, :2] += shift[:, None]
         physics[:, PHYSICS : PHYSICS + 2] -= rotated(shift, -yaw) / own.tool_off_m
         if own.view_off_m > 0:
             physics[:, PHYSICS + 4 :] -= shift / own.view_off_m
         proposed = replace(given, poses=poses, physics=physics)
         odds = self._start_prior(proposed) - self._start_prior(given)
-        return self.accepted(given, proposed, history, torch.zeros(len(given), dtype=torch.long), odds)
+        return self.accepted(given, proposed, history, torch.full((len(given),), told), odds)
 
     def erred(self, given: Trajectories, history: History) -> Trajectories:
-        """Systematic errors alone, all of them or one, turned towards a fresh draw; all is replayed."""
+        """Systematic errors alone, all of them or one, turned towards a fresh draw; what they change is replayed."""
         if not given.systematic.shape[1]:
             return given
         angle = 0.5 * math.pi * self._uniform(len(given))[:, None]
         turned = self._turned_in_part(given.systematic, angle)
         proposed = replace(given, physics=torch.cat((given.physics[:, :PHYSICS], turned), -1))
-        return self.accepted(given, proposed, history, torch.zeros(len(given), dtype=torch.long))
+        of_view = (turned != given.systematic)[:, VIEWED:].any(-1)
+        return self.accepted(given, proposed, history, torch.where(of_view, 0, history.shown()))
 
     def _turned_in_part(self, numbers: Float[Tensor, "N P"], angle: Float[Tensor, "N 1"]) -> Float[Tensor, "N P"]:
         """Standard normals, all of a particle's or one, turned by an angle towards a fresh draw."""
@@ -244,8 +248,15 @@ def start_density(
     starts: Float[Tensor, "N D"], about: Float[Tensor, "Q D"], scale: Float[Tensor, "3"]
 ) -> Float[Tensor, "N"]:
     """Log-density, up to a constant, of poses drawn about others with normal deviations `scale`; each rests as it."""
-    apart = starts[:, None] - about
-    others = apart[..., 3:].abs().sum(-1) > 0  # other resting poses
-    apart = torch.cat((apart[..., :2], wrap(apart[..., 2:3])), -1) / scale
-    each = (-0.5 * apart.square().sum(-1)).masked_fill(others, -_FAR)
+    parts = [_density(some, about, scale) for some in starts.split(max(1, _AT_ONCE // max(1, len(about))))]
+    return torch.cat(parts) if parts else starts.new_zeros(0)
+
+
+def _density(
+    starts: Float[Tensor, "n D"], about: Float[Tensor, "Q D"], scale: Float[Tensor, "3"]
+) -> Float[Tensor, "n"]:
+    x, y, yaw = (starts[:, None, axis] - about[:, axis] for axis in range(3))
+    each = (x / scale[0]).square_().add_((y / scale[1]).square_()).add_((wrap(yaw) / scale[2]).square_()).mul_(-0.5)
+    if about.shape[1] > 3:
+        each.masked_fill_((starts[:, None, 3:] != about[:, 3:]).any(-1), -_FAR)  # other resting poses
     return each.logsumexp(-1) - scale.log().sum()

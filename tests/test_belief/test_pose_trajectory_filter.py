@@ -13,7 +13,7 @@ from rumi.belief.particles import PoseBelief, subsample
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
-from rumi.belief.segments import cut, felt_pads, standing
+from rumi.belief.segments import besides, cut, felt_pads, standing
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -256,3 +256,18 @@ def test_free_cells_count_once(model):
     first = standing(near, poses, model, OWN)
     assert len(first.points) == 1
     assert standing(near, poses, model, OWN, History.empty().appended(first)) is None
+
+
+@pytest.mark.parametrize("count", [0, 1, 400])
+def test_points_besides_the_pads_are_those_that_none_of_them_is_near(model, count):
+    """Far ones and near ones of a tool that is turned, by the distance to each point of the pads."""
+    own, tool = replace(OWN, pad_spacing_m=0.006), se3.from_planar(torch.tensor([0.2, -0.1, 0.7]), HEIGHT)
+    random = generator(4)
+    spread = torch.where(torch.rand(count, 1, generator=random) < 0.5, 0.002, 0.2)
+    pads = model.reported[torch.randint(len(model.reported), (count,), generator=random)]
+    there = pads + spread * torch.randn(count, 3, generator=random)
+    points = Observation.of(se3.apply(tool.double(), there).float(), Semantics.SURFACE)
+    back = se3.apply(se3.inverse(tool.double()), points.points.double())
+    apart = (back[:, None] - model.reported).norm(dim=-1).amin(-1) >= 0.6 * 0.006
+    assert count < 2 or 0.2 < float(apart.double().mean()) < 0.95
+    torch.testing.assert_close(besides(points, tool, model, own).points, points.points[apart], atol=0, rtol=0)

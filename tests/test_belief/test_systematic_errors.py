@@ -206,6 +206,43 @@ def test_what_is_translated_with_the_tool_and_the_view_fits_as_before(model):
 
 @pytest.mark.parametrize("view_off_m", [0.003, 0.0])
 @pytest.mark.parametrize("move", ["translated", "erred"])
+def test_what_a_move_leaves_out_is_what_it_cannot_change(model, move, view_off_m):
+    """Poses and likelihoods that moves keep are those of the whole history replayed; views are kept where they can."""
+    history, own = history_of_a_push(), replace(OWN, view_off_m=view_off_m)
+    given = replayed(model, own, particles(history, 300, numbers(300)))
+    moves = Moves(model, own, generator(6))
+    after = given
+    for _ in range(3):
+        after = getattr(moves, move)(after, history)
+    assert float((after.systematic != given.systematic).any(-1).double().mean()) > 0.3
+    again = replayed(model, own, after)
+    torch.testing.assert_close(after.poses, again.poses, atol=1e-6, rtol=0)
+    torch.testing.assert_close(after.log_likelihood, again.log_likelihood, atol=2e-3, rtol=2e-4)
+
+
+def test_a_camera_alone_tells_of_the_segments_before_the_first_of_another_kind():
+    still = torch.zeros(1, 2, 3, **DOUBLE)
+    view, free = (sensed(still, (kind,), pushes=False, seed=1) for kind in (Kind.SEEN, Kind.FREE))
+    push = sensed(still, (Kind.SEEN,), pushes=True, seed=1)
+    none, points = torch.zeros(0, dtype=torch.long), torch.zeros(0, 3, **DOUBLE)
+    nothing = Segment(still, False, points, none, none, points[:, 0])
+    for segments, count in (
+        ((), 0),
+        ((view,), 1),
+        ((view, view, free, view), 2),
+        ((free, view), 0),
+        ((view, push, view), 1),
+        ((view, nothing, view), 1),
+        ((nothing, view), 0),
+    ):
+        history = History.empty()
+        for segment in segments:
+            history = history.appended(segment)
+        assert history.shown() == count
+
+
+@pytest.mark.parametrize("view_off_m", [0.003, 0.0])
+@pytest.mark.parametrize("move", ["translated", "erred"])
 def test_moves_of_systematic_errors_keep_their_prior(model, move, view_off_m):
     """Where nothing was sensed the numbers stay standard normal ones, and are soon others."""
     none = torch.zeros(0, dtype=torch.long)

@@ -6,6 +6,7 @@ import torch
 from rumi.belief.segments import until_felt
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import Kind, Segment
+from rumi.belief.trajectory_moves import start_density
 from rumi.belief.trajectory_starts import KNOCKS, at_rest, brought_to, jittered, jumped, least_fit
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
@@ -20,6 +21,25 @@ def model(box) -> ToppledObject:
 
 def poses(count: int) -> torch.Tensor:
     return at_rest(torch.zeros(count, 3, dtype=torch.float64), torch.zeros(count, dtype=torch.long))
+
+
+@pytest.mark.parametrize(("count", "others"), [(300, 400), (7, 1), (0, 5)])
+@pytest.mark.parametrize("numbers", [3, 6])
+def test_the_density_about_poses_is_the_mean_of_normal_ones(count, others, numbers):
+    random, scale = generator(2), torch.tensor([0.001, 0.002, 0.05], dtype=torch.float64)
+    about = 0.003 * torch.randn(others, numbers, generator=random, dtype=torch.float64)
+    about[:, 2] = torch.pi * torch.rand(others, generator=random)  # some on either side of half a turn
+    about[:, 3:] = torch.randint(2, (others, numbers - 3), generator=random).double()
+    there = about[torch.randint(others, (count,), generator=random)].clone()
+    there[:, 2] = (there[:, 2] + torch.pi + 0.04) % (2 * torch.pi) - torch.pi
+    found = start_density(there, about, scale)
+    assert found.shape == (count,)
+    for pose, density in zip(there[::29], found[::29], strict=True):
+        off = pose[:3] - about[:, :3]
+        off[:, 2] = torch.atan2(off[:, 2].sin(), off[:, 2].cos())
+        each = (-0.5 * (off / scale).square().sum(-1)).exp() / scale.prod()
+        alike = (pose[3:] == about[:, 3:]).all(-1)
+        assert float(density.exp()) == pytest.approx(float(each[alike].sum()), rel=1e-9)
 
 
 def test_jumps_go_with_the_tool_or_fall_and_rest_again(model):

@@ -20,7 +20,7 @@ from rumi.tasks.rummage.settings import preset
 _SEED = 0
 _ACTIONS = 8  # of a run, at most
 _FIXED = ("mug-0", "drill-0", "box-0", "shelf-mug", "touch-box", "peg", "handle")
-_DRAWN, _WHOLE = ("drill", "box", "drawn-shelf-box"), 40  # of which whole runs are replayed
+_DRAWN, _WHOLE = ("mug", "drill", "box", "drawn-shelf-mug", "drawn-shelf-box"), 40  # of which whole runs are replayed
 
 
 class Replay:
