@@ -59,9 +59,8 @@ class IslandFilter(BootstrapFilter):
         count = self.own.islands
         most, least = (max(1, many // count) for many in (self.own.unseen_particles, self.own.fewest_particles))
         self.own = replace(self.own, unseen_particles=most, fewest_particles=least)
-        self.exchanged = self.own.exchanged
         # evidence of particles that came from elsewhere is no population's own
-        self.evidence_power = 0.0 if self.exchanged > 0 else self.own.evidence_power
+        self.evidence_power = 0.0 if self.own.exchanged > 0 else self.own.evidence_power
         self.shown = max(1, SHOWN // count)
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> IslandBelief:
@@ -75,7 +74,7 @@ class IslandFilter(BootstrapFilter):
     ) -> tuple[IslandBelief, Observation, FilterInfo]:
         """One whole filter step of each; the points for planners ride with the first. Arguments as of `PoseFilter`."""
         before = list(islands_of(belief))
-        if self.exchanged > 0 and bool(reading.in_contact.any()):
+        if self.own.exchanged > 0 and bool(reading.in_contact.any()):
             before = self._exchanged(before, lone(generator))
         first, memory, info = super().forward(before[0], memory, reading, generator=generator)
         others = [self.followed(island, reading, generator=generator) for island in before[1:]]
@@ -90,7 +89,7 @@ class IslandFilter(BootstrapFilter):
         found = []
         for place, (island, (now, log_weights)) in enumerate(zip(islands, parts, strict=True)):
             others = [part for at, part in enumerate(parts) if at != place and not part[0].apart]
-            each = int(self.exchanged * len(now) / max(1, len(others)))
+            each = int(self.own.exchanged * len(now) / max(1, len(others)))
             if now.apart or not others or not each:
                 found.append(island)
                 continue
