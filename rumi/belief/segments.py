@@ -1,6 +1,7 @@
 """Segments of a history from a reading: what pads felt and did not feel, what was seen, what was free."""
 
 import itertools
+import math
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -59,7 +60,7 @@ def standing(
         (seen, Kind.SEEN, worth / max(1, len(seen)), own.most[0]),
         (free, Kind.FREE, each_free, most_free),
     ):
-        kept, counts = _thinned(len(points), most)
+        kept, counts = _thinned(len(points), math.ceil(share * most))
         parts.append((points[kept], torch.full((len(kept),), int(kind)), torch.full((len(kept),), each * counts)))
     points, kinds, weights = (torch.cat(part) for part in zip(*parts, strict=True))
     still = torch.zeros(1, 2, model.path(se3.identity((1,))).shape[-1], dtype=torch.float64)

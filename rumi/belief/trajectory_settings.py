@@ -128,7 +128,8 @@ class PoseTrajectorySettings:
         view_off_m: deviation of where a camera has the object in a run, along each axis.
         eye_m: (x, y, z) of a camera that is some way off, world frame, metres: what it sees of an upright object is on
             the side of a wall that faces it. None where nobody knows, so that it may be on either.
-        most: points that are kept of a view, of what the tool went through, and of a segment's felt points and pads.
+        most: points that are kept of a view, of what the tool went through, and of a segment's felt points and pads; of
+            a view that is worth less than the first as much less, free ones too.
     """
 
     particles: int = 150

@@ -1,6 +1,7 @@
 """Filter whose particles are trajectories: it takes in anything, follows what nothing measures, and forgets."""
 
 import copy
+import math
 from dataclasses import replace
 
 import pytest
@@ -246,6 +247,22 @@ def test_each_cell_that_a_view_sees_through_counts_however_many_there_are(model,
     assert worth(both, replace(OWN, free_points=10.0, free_most=7)) == pytest.approx([OWN.seen_points, min(each, 10.0)])
     # what the tool went through is off by the same everywhere
     assert worth(view[0], OWN) == pytest.approx([0.0, min(each, OWN.seen_points)])
+
+
+def test_of_a_later_view_as_many_points_are_kept_as_it_is_worth_of_a_first(model):
+    free = torch.tensor([-0.045, 0.0, 0.03]) + 0.004 * torch.rand(900, 3, generator=generator(2))
+    surface = torch.tensor([-0.04, 0.0, 0.03]) + 0.001 * torch.rand(300, 3, generator=generator(3))
+    view = concatenate([Observation.of(surface, Semantics.SURFACE), Observation.of(free, Semantics.FREE)])
+    own = replace(OWN.seen_again(), most=(200, 250, 60, 120), free_most=600)
+    poses = torch.zeros(2, 3, **DOUBLE)
+    taken = History.empty().appended(standing(view[torch.tensor([0])], poses, model, own))
+    first, later = standing(view, poses, model, own), standing(view, poses, model, own, taken)
+    less = own.seen_again_points / own.seen_points
+    for kind, count in ((Kind.SEEN, 200), (Kind.FREE, 600)):
+        assert int((first.kind == kind).sum()) == count
+        assert int((later.kind == kind).sum()) == math.ceil(less * count)
+        worth = [float(part.weight[part.kind == kind].sum()) for part in (first, later)]
+        assert worth[1] == pytest.approx(less * worth[0])
 
 
 def test_free_cells_count_once(model):
