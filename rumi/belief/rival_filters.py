@@ -6,8 +6,8 @@ five per cent larger, or of a view some millimetres off: many that agree do. The
 another size, by the same view; those of a hand and of a view that are off begin where an offset has put the object, and
 keep nothing of the view; that of a push model which is off has a much wider prior of how the object slides.
 
-A marginal likelihood of sequential Monte Carlo errs by several nats after some pushes. Copies of each belief, that of
-no fault among them, are averaged: the mean of unbiased estimates is one (pseudo-marginal, Andrieu and Roberts 2009).
+A marginal likelihood of sequential Monte Carlo errs by several nats after some pushes. That of no fault is the mean
+over the belief and a copy of it: the mean of unbiased estimates is one (pseudo-marginal, Andrieu and Roberts 2009).
 """
 
 import math
@@ -39,9 +39,9 @@ RIVALS = ("hand off", "camera off", "another size", "push model off")
 NO_FAULT = "no fault"
 
 _SIZES = (0.93, 0.965, 1.035, 1.07)  # times the object's own, each as likely
-_PARTICLES, _DRAWS, _STARTS, _SWEEPS = 75, 1500, 150, 2
+_PARTICLES = 225
+_OF_A_SIZE, _DRAWS, _STARTS, _SWEEPS = 75, 1500, 150, 2
 _PLACES = 400  # start poses that the prior of what was moved is the density of
-_COPIES = 3  # of each belief but those of a size
 _FURTHER = 4  # copies of no fault where an alarm is due
 _NARROWER, _LEAST_KERNEL_M = 0.5, 0.0003  # kernel of start poses by a view: of their deviation, and at least
 _HOPELESS = 8.0  # nats that a rival is less likely than no fault, from which on it is left out
@@ -101,14 +101,11 @@ def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: tor
 
     # of a view that is as exact as its noise start poses are a narrow, slanted cloud, which a kernel makes far too wide
     wide_view = pose_filter.own.view_off_m >= KERNEL[0]
-    rivals = []
-    for _ in range(_COPIES):
-        rivals += [_rival(NO_FAULT, 1, usual, again()), _rival("push model off", _COPIES, wide, again())]
-        for name, ring in (("hand off", HAND), ("camera off", CAMERA)):
-            moved = _displaced(first, ring, generator)
-            rival = _rival(name, _COPIES, usual.supposing(moves=_FromStarts), moved)
-            rivals.append(rival._replace(seen=first.starts if wide_view else None))
-    return (*rivals, *_sizes(usual, first, generator))
+    rivals = [_rival(NO_FAULT, 1, usual, again()), _rival("push model off", 1, wide, again())]
+    for name, ring in (("hand off", HAND), ("camera off", CAMERA)):
+        rival = _rival(name, 1, usual.supposing(moves=_FromStarts), _displaced(first, ring, generator))
+        rivals.append(rival._replace(seen=first.starts if wide_view else None))
+    return (*rivals, *_sizes(usual.supposing(own=replace(usual.own, particles=_OF_A_SIZE)), first, generator))
 
 
 @torch.no_grad()
@@ -135,7 +132,7 @@ def doubted(
 
 def is_asked_again(rivals: Sequence[Rival]) -> bool:
     """Whether there are further copies of no fault among them."""
-    return sum(rival.name == NO_FAULT for rival in rivals) > _COPIES
+    return sum(rival.name == NO_FAULT for rival in rivals) > 1
 
 
 def _rival(
@@ -156,8 +153,9 @@ def followed(rivals: Sequence[Rival], reading: Reading, generator: torch.Generat
 
 
 def left(rivals: Sequence[Rival], none: float) -> tuple[Rival, ...]:
-    """The rivals that are not hopeless, with the log marginal likelihood of no fault, and all copies of that."""
-    return tuple(rival for rival in rivals if rival.name == NO_FAULT or rival.log_evidence > none - _HOPELESS)
+    """The rivals that are not hopeless, and with any of them all copies of no fault, whose log evidence is given."""
+    some = tuple(rival for rival in rivals if rival.name == NO_FAULT or rival.log_evidence > none - _HOPELESS)
+    return some if any(rival.name != NO_FAULT for rival in some) else ()
 
 
 def log_ratios(rivals: Sequence[Rival], own: float) -> Mapping[str, float]:
@@ -249,7 +247,7 @@ def _seen(
     proposal = torch.stack([start_density(start, about, one) for one in spread]).logsumexp(0)
     log_weights = tried.log_likelihood.sum(-1) - proposal
     starts = start[resample_systematic(log_weights, _STARTS, generator=generator)]
-    now = replace(tried.at(resample_systematic(log_weights, _PARTICLES, generator=generator)), starts=starts)
+    now = replace(tried.at(resample_systematic(log_weights, own.particles, generator=generator)), starts=starts)
     moves = Moves(model, own, generator)
     for _ in range(_SWEEPS):
         now = moves.sweep(now, history, whole=True)

@@ -136,7 +136,10 @@ def test_no_fault_is_the_mean_over_its_copies_and_the_belief_that_a_run_goes_by(
     assert log_none(copies, -40.0) == pytest.approx(mean)
     fault = Rival("push model off", 0.0, pose_filter, replace(now, log_evidence=-31.0), even, 0.0)
     assert log_ratios([*copies, fault], -40.0)["push model off"] == pytest.approx(-31.0 - mean, abs=1e-5)
-    assert left([*copies, fault], 0.0) == tuple(copies)  # a copy stays, however unlikely
+    lone = fault._replace(name="another size")
+    hopeless = lone._replace(now=replace(now, log_evidence=-60.0))
+    assert left([*copies, lone, hopeless], -30.0) == (*copies, lone)  # a copy stays, however unlikely
+    assert left([*copies, fault], 0.0) == ()  # unless nothing is asked any more
 
 
 def test_moves_leave_an_offset_its_prior(pose_filter):

@@ -121,7 +121,7 @@ def watch(
         rivals, static = _rivals(before, record, history, pose_filter, generator)
     ratios = _all_ratios(before, of_action, static, names)
     due = bool(test.alarm(test.update(evidence, ratios)))
-    if due and open_yet and not strange and rivals is not None and not rival_filters.is_asked_again(rivals):
+    if due and open_yet and not strange and rivals and not rival_filters.is_asked_again(rivals):
         rivals, static = _asked_again(rivals, record, history, pose_filter, generator)
         ratios = _all_ratios(before, of_action, static, names)
     evidence = test.update(evidence, ratios)

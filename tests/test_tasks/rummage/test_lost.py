@@ -13,6 +13,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.remarks import Remark
+from rumi.belief.rival_filters import Rival
 from rumi.tasks.rummage import lost
 from rumi.tasks.rummage.entry import ENTRIES, Rummaging, ending
 from rumi.tasks.rummage.explanations import HAND_OR_CAMERA, IN_SPACE, NOTHING_FELT, PRIOR, SEARCHED, STATIC, named
@@ -144,8 +145,10 @@ def test_an_alarm_of_another_name_waits_while_the_hand_repeats_itself(model, pos
 
 @pytest.mark.parametrize(("again", "alarmed"), [(0.0, False), (20.0, True)])
 def test_an_alarm_by_a_rival_is_asked_again(model, pose_filter, monkeypatch, again, alarmed):
+    asked = Rival("hand off", 0.0, None, None, torch.zeros(1), 0.0)
+
     def told(nats):
-        return (), dict.fromkeys(STATIC, -math.inf) | {"hand off": nats}
+        return (asked,), dict.fromkeys(STATIC, -math.inf) | {"hand off": nats}
 
     monkeypatch.setattr(lost, "follows", lambda _: True)
     monkeypatch.setattr(lost, "all_faults_of", lambda _: ALL)
