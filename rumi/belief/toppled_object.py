@@ -2,7 +2,7 @@
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -25,6 +25,7 @@ from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.symmetry import Symmetries
 
+_UNFITTED, _WITH_CARE = 5.0, 3.5  # times the noise of motion in the plane, and of what is soon toppled
 _UNSTEADY_RAD = 0.2  # of tilt about some edge, by which an object that falls over then is soon toppled
 
 
@@ -69,7 +70,7 @@ class ToppledObject:
         spacing_m: float,
         pad_spacing_m: float,
         felt_ahead_m: float = 0.0,
-        wide: float = 1.0,
+        wide: float | None = 1.0,
     ) -> Self:
         """For an object and a gripper.
 
@@ -81,14 +82,16 @@ class ToppledObject:
             spacing_m: between the points of the tool's surface.
             pad_spacing_m: between the points of the pads.
             felt_ahead_m: distance in front of the pads at which felt points are reported.
-            wide: how much wider than the settings have it the noise of its motion is.
+            wide: how much wider than the settings have it the noise of its motion is; None for as much as is usual of
+                such an object.
         """
         pads, tool = shape.pad_shell(pad_spacing_m).double(), shape.surface(spacing_m).double()
         reported = pads + felt_ahead_m * shape.pad_normals(pads)
         radius = float(sdf.bounds.double().abs().amax(0).norm())
         reach = radius + float(tool[:, :2].norm(dim=-1).max())
         rests = RestingPoses.of(sdf, ways, symmetries)
-        return cls(sdf, rests, len(ways), _grouped(tool), pads, reported, reach, wide)
+        found = cls(sdf, rests, len(ways), _grouped(tool), pads, reported, reach, _UNFITTED if wide is None else wide)
+        return replace(found, wide=_WITH_CARE) if wide is None and found.unsteady else found
 
     @functools.cached_property
     def arrays(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:

@@ -88,7 +88,8 @@ class PoseTrajectorySettings:
             pressed on from above.
         grip: deviations of the noise along the way beyond which the tool drags along what it presses on from above, and
             the share of its own way, up to 1, for each deviation more.
-        unfitted: how much wider the noise of motion is in space, where it is not fitted.
+        unfitted: how much wider the noise of motion is in space than in the plane, where it is fitted. None is 3.5 of
+            what is soon toppled, and so touched with care, else 5.
         tails: h of the size of an action's noise, exp(h z^2 / 2) of a standard normal z: once in a while all of it is
             large.
         shared: part of its variance that a whole action has in common.
@@ -166,7 +167,7 @@ class PoseTrajectorySettings:
     slip: float = 0.1
     soft: tuple[float, float] = (0.001, 1.0)
     grip: tuple[float, float] = (0.5, 1.5)
-    unfitted: float = 5.0
+    unfitted: float | None = None
     tails: float = 0.5
     shared: float = 0.5
     seen_sd_m: float = 0.0015

@@ -11,7 +11,9 @@ from rumi.belief.frictions import frictions_of
 from rumi.belief.island_filter import IslandBelief, IslandFilter, islands_of
 from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
+from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import se3
 from sdf.object_model import box_model
@@ -94,6 +96,17 @@ def test_a_box_stands_firmly_and_a_stick_on_its_end_is_soon_toppled(box, prior):
     upright = PosePrior.of((0.0, 0.0), 0.02, stick.exact.bounds, ("z",))
     firm, unsteady = (make(IslandFilter, *one, 90, 3).model for one in ((box, prior), (stick, upright)))
     assert not firm.unsteady and unsteady.unsteady
+
+
+@pytest.mark.parametrize(("size", "noise"), [((0.1, 0.08, 0.06), 5.0), ((0.02, 0.021, 0.2), 3.5)])
+def test_what_is_soon_toppled_moves_with_less_noise_where_nothing_else_is_asked_for(size, noise):
+    some = box_model(size, spacing=0.003)
+    ways = PosePrior.of((0.0, 0.0), 0.02, some.exact.bounds, ("z",)).ways
+    for asked, given in ((None, noise), (2.0, 2.0)):
+        made = ToppledObject.of(
+            some.sdf, GripperShape(), ways, some.symmetries, spacing_m=0.012, pad_spacing_m=0.006, wide=asked
+        )
+        assert made.wide == given
 
 
 def test_what_islands_disagree_on_is_not_known(box, prior):

@@ -258,7 +258,7 @@ def trajectory_filter(
         spacing_m=_SURFACE_SPACING,
         pad_spacing_m=spacing,
         felt_ahead_m=spec.felt_ahead_m,
-        wide=settings.trajectories.unfitted,
+        wide=own.unfitted,
     )
     return IslandFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
 
