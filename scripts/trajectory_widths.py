@@ -1,7 +1,7 @@
 """Width of the belief over trajectories against a reference posterior: volumes of 90 % regions after recorded updates.
 
-python -m scripts.trajectory_starts record --seeds 1000-1009      # closed loops of `mug`: their readings
-python -m scripts.trajectory_widths run                           # the filter on them, and long chains
+python -m scripts.trajectory_widths record      # closed loops of `mug`: their readings
+python -m scripts.trajectory_widths run         # the filter on them, and long chains
 python -m scripts.trajectory_widths show
 
 The reference after an update with contact is a long chain: the filter's own particles of two independent runs, each
@@ -12,6 +12,7 @@ out. Volumes are by the density of near neighbours in (x, y, yaw), of as many pa
 import math
 import statistics
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +24,45 @@ from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.trajectory_moves import Moves
 from rumi.cli import script
+from rumi.loop import run
 from rumi.resampling import systematic
 from rumi.seeding import split
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.first_belief import first_belief
 from scripts.experiment import Experiment
 from scripts.reproduce.cells import table
+from scripts.reproduce.seeds import seeds_of
 from scripts.store import Figures, Line
 from scripts.trajectory_runs import DEFAULTS, Options, settings_of
 from sdf.so3 import wrap
 
-EPISODES = Path("runs/trajectory_starts")
+EPISODES = Path("runs/trajectory_widths")
 _SWEEPS, _BURN_IN, _EVERY, _STREAMS = 40, 10, 5, 2
 _NEIGHBOUR, _SHARE = 12, 0.9
 _SCALE = (1e-3, 1e-3, math.radians(1.5))  # that count as equal distances
+
+
+@dataclass(frozen=True)
+class Record:
+    """Record the readings of closed loops of `mug`, of those seeds that have none yet.
+
+    Attributes:
+        seeds: such as 1000-1009.
+    """
+
+    seeds: str = "1000-1009"
+
+
+def record(options: Record) -> None:
+    """Readings of closed loops, a file each."""
+    EPISODES.mkdir(parents=True, exist_ok=True)
+    for seed in seeds_of(options.seeds):
+        if (path := _path(seed)).is_file():
+            continue
+        readings: list[Any] = []
+        with build(settings_of(Options(), "trajectory", seed), cache_dir=Path("runs/cache")) as (task, agent):
+            run(task, agent, seed=seed, on_step=lambda step, kept=readings: kept.append(step.reading))
+        torch.save(readings, path)
 
 
 def volume(poses: Float[Tensor, "N 3"]) -> float:
@@ -49,7 +75,7 @@ def volume(poses: Float[Tensor, "N 3"]) -> float:
 
 def widths(particles: int, rounds: int, seed: int) -> Figures:
     """Of every update of an episode with contact: the belief's volume, and the reference's by each stream."""
-    readings, _ = torch.load(EPISODES / f"mug-{seed}.pt", weights_only=False)
+    readings = torch.load(_path(seed), weights_only=False)
     updates: dict[int, dict[str, list[Any]]] = {}
     effort = f"filter.trajectories.particles={particles}", f"filter.trajectories.rounds={rounds}"
     with build(settings_of(Options(set=effort), "trajectory", seed), cache_dir=Path("runs/cache")) as (_, agent):
@@ -84,6 +110,10 @@ def reference(
         if sweep >= _BURN_IN and sweep % _EVERY == 0:
             chain.append(now.pose)
     return own, chain
+
+
+def _path(seed: int) -> Path:
+    return EPISODES / f"mug-{seed}.pt"
 
 
 def _deviations(poses: Float[Tensor, "N 3"]) -> list[float]:
@@ -143,6 +173,7 @@ EXPERIMENT = Experiment(
     seeds="1000-1009",
     usual={"particles": (150,), "rounds": (2,)},
     identity=lambda variant: {"defaults": DEFAULTS},
+    commands={"record": (Record, record)},
 )
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
 """Volumes of a belief's regions: that of a normal one, in its units, across the seam of the yaw; and their table."""
 
 import math
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import pytest
 import torch
 
-from scripts.trajectory_widths import show, volume
+from scripts import trajectory_widths
+from scripts.trajectory_widths import Record, record, show, volume
 
 
 def normal(count: int, x_mm: float = 2.0) -> torch.Tensor:
@@ -37,3 +40,20 @@ def test_the_table_divides_volumes_and_deviations() -> None:
     assert (
         "| 150 | 2 | 1 | 0.80 [0.80, 0.80] | 0.80, 0.80, 0.80 | 100 % | 0.50, 1.00, 1.50 | 0.50, 0.50, 0.50 |" in said
     )
+
+
+def test_readings_of_a_seed_are_recorded_once(tmp_path, monkeypatch):
+    begun = []
+
+    def run(task, agent, *, seed, on_step):
+        begun.append(seed)
+        for reading in (10 * seed, 10 * seed + 1):
+            on_step(SimpleNamespace(reading=reading))
+
+    monkeypatch.setattr(trajectory_widths, "EPISODES", tmp_path / "runs" / "readings")
+    monkeypatch.setattr(trajectory_widths, "build", lambda settings, cache_dir: nullcontext((None, None)))
+    monkeypatch.setattr(trajectory_widths, "run", run)
+    for _ in range(2):
+        record(Record(seeds="3-4"))
+    assert begun == [3, 4]
+    assert torch.load(tmp_path / "runs" / "readings" / "mug-4.pt", weights_only=False) == [40, 41]
