@@ -6,7 +6,7 @@ volume of a support that all states share, which motion changes.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import Annotated, Literal, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from annotated_types import Ge
@@ -18,9 +18,6 @@ from rumi.weights import check_weights
 from sdf.bounds import Checked, Positive
 from sdf.check import check_shape
 from sdf.numbers import refuse_trained
-
-EntropyChoice = Literal["spatial", "neighbour"]
-ENTROPIES: tuple[str, ...] = get_args(EntropyChoice)
 
 
 @runtime_checkable
@@ -173,18 +170,3 @@ def _others(weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
     heaviest = torch.zeros_like(weights).scatter(-1, weights.argmax(-1, keepdim=True), 1.0) > 0
     rest = torch.where(heaviest, 0.0, weights).sum(-1, keepdim=True)
     return torch.where(heaviest, rest, 1.0 - weights)
-
-
-def make_entropy(choice: EntropyChoice, support: SharedSupport) -> Entropy:
-    """The estimator of a name.
-
-    Args:
-        choice: "spatial" or "neighbour".
-        support: metric and neighbours; the neighbour estimate takes one less than a box, whose count has the state
-            itself.
-    """
-    if choice == "spatial":
-        return SpatialEntropy(support)
-    if choice == "neighbour":
-        return NeighbourEntropy(support.metric, max(1, support.neighbours - 1))
-    raise ValueError(f"Expected an entropy out of {', '.join(ENTROPIES)}, got {choice!r}")

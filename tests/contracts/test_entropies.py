@@ -1,13 +1,13 @@
 """Contract of the entropies: what holds for every estimator of the differential entropy of weighted states."""
 
 import math
-from typing import get_args
 
 import pytest
 import torch
 
-from rumi.information.entropy import Entropy, EntropyChoice, SharedSupport, make_entropy
+from rumi.information.entropy import Entropy, SharedSupport
 from rumi.information.neighbours import StateMetric
+from tests.fixtures.entropies import ENTROPIES, entropies
 
 DOUBLE = {"dtype": torch.float64}
 PLANAR = StateMetric((0.06, 0.06, 0.5), (False, False, True))
@@ -16,9 +16,9 @@ PLANAR = StateMetric((0.06, 0.06, 0.5), (False, False, True))
 pytestmark = pytest.mark.usefixtures("version")
 
 
-@pytest.fixture(params=get_args(EntropyChoice))
+@pytest.fixture(params=ENTROPIES)
 def entropy(request: pytest.FixtureRequest) -> Entropy:
-    return make_entropy(request.param, SharedSupport(PLANAR, floor=(1e-3, 1e-3, 0.009)))
+    return entropies(SharedSupport(PLANAR, floor=(1e-3, 1e-3, 0.009)))[request.param]
 
 
 def test_a_row_of_a_batch_is_the_set_alone(entropy, generator):

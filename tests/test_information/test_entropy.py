@@ -14,11 +14,11 @@ from rumi.information.entropy import (
     NeighbourEntropy,
     SharedSupport,
     SpatialEntropy,
-    make_entropy,
     weights_entropy,
 )
 from rumi.information.neighbours import StateMetric, neighbours, unique_states
 from sdf import backend
+from tests.fixtures.entropies import ENTROPIES, entropies
 
 DOUBLE = {"dtype": torch.float64}
 PLANAR = StateMetric((0.06, 0.06, 0.5), (False, False, True))
@@ -179,7 +179,7 @@ def test_all_estimators_against_loops(duplicates: bool, generator: torch.Generat
         x = x[torch.randint(0, 25, (40,), generator=generator)]
     w = w / w.sum()
     support = SharedSupport(PLANAR, 5)
-    found = [float(make_entropy(name, support)(x, w.log())) for name in ("spatial", "neighbour")]
+    found = [float(entropy(x, w.log())) for entropy in entropies(support).values()]
     assert found == pytest.approx(list(reference(x, w, PLANAR, 5)), abs=1e-9)
 
 
@@ -188,9 +188,9 @@ def test_scale_equivariance(factor: float, dims: int) -> None:
     """H(a x) = H(x) + D log a, with units that are scaled along."""
     generator = torch.Generator().manual_seed(dims)
     x, log = torch.randn(60, dims, generator=generator, **DOUBLE), torch.randn(60, generator=generator, **DOUBLE)
-    for name in ("spatial", "neighbour"):
-        plain = make_entropy(name, SharedSupport(StateMetric.euclidean(dims)))(x, log)
-        scaled = make_entropy(name, SharedSupport(StateMetric((factor,) * dims, (False,) * dims)))(factor * x, log)
+    for name in ENTROPIES:
+        plain = entropies(SharedSupport(StateMetric.euclidean(dims)))[name](x, log)
+        scaled = entropies(SharedSupport(StateMetric((factor,) * dims, (False,) * dims)))[name](factor * x, log)
         assert float(scaled - plain) == pytest.approx(dims * math.log(factor), abs=1e-9)
 
 
@@ -234,8 +234,6 @@ def test_refusals(no_shape_check: None) -> None:
         SharedSupport(PLANAR, floor=(1.0, 1.0))
     with pytest.raises(ValueError, match="states"):
         SharedSupport(PLANAR)(torch.zeros(5, 2), torch.zeros(5))
-    with pytest.raises(ValueError, match="entropy out of"):
-        make_entropy("shannon", SharedSupport(PLANAR))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

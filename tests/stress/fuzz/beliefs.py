@@ -10,13 +10,14 @@ from rumi.belief.particles import PoseBelief
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.normal import expected_normal
 from rumi.information.binary_gain import binary_outcome, channel_capacity
-from rumi.information.entropy import ENTROPIES, SharedSupport, make_entropy
+from rumi.information.entropy import SharedSupport
 from rumi.information.neighbours import StateMetric
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.resampling import resample_systematic
 from rumi.weights import boltzmann
 from scripts.reproduce.correlation import pearson, run_correlation, spearman
 from scripts.reproduce.intervals import bootstrap_median, mcnemar, wilson
+from tests.fixtures.entropies import ENTROPIES, entropies
 from tests.stress.fuzz.draw import Draw, choice, log_weights, number, poses, sizes, tensor
 from tests.stress.fuzz.entered import out, table, target
 
@@ -74,7 +75,7 @@ def _entropies(draw: Draw) -> Iterable[Tensor]:
     support = SharedSupport(StateMetric.planar(0.1), draw.integer(2, 5), floor=1e-3)
     chance = tensor(draw, count).abs().clamp(0.0, 1.0).to(states)
     gain = binary_outcome(log, chance)
-    estimate = make_entropy(choice(draw, ENTROPIES), support)(states, log)  # type: ignore[arg-type]
+    estimate = entropies(support)[choice(draw, ENTROPIES)](states, log)
     return estimate, *gain
 
 

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from rumi.information.binary_gain import binary_outcome, channel_capacity
-from rumi.information.entropy import ENTROPIES, SharedSupport, make_entropy, weights_entropy
+from rumi.information.entropy import SharedSupport, weights_entropy
 from rumi.information.neighbours import StateMetric
 from sdf import backend
+from tests.fixtures.entropies import ENTROPIES, entropies
 from tests.stress import exact, measures
 from tests.stress.draws import choice, integer, log_uniform, log_weights, mixed, normal, uniform
 from tests.stress.subjects.distances import VERSIONS
@@ -54,7 +55,7 @@ def _draw_states(least: float, generator: torch.Generator) -> Inputs:
 def _entropy(name: str, version: str, dtype: torch.dtype, inputs: Inputs) -> Tensor:
     support = SharedSupport(METRIC, floor=FLOOR)
     with backend.force(version):
-        return make_entropy(name, support)(inputs["states"].to(dtype), inputs["log_weights"].to(dtype))  # type: ignore[arg-type]
+        return entropies(support)[name](inputs["states"].to(dtype), inputs["log_weights"].to(dtype))
 
 
 def _exact_neighbour(inputs: Inputs) -> Tensor:
