@@ -8,14 +8,17 @@ less often than it says, and finds less.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from annotated_types import Interval
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from sdf import se3
 from sdf.base import SDF
+from sdf.bounds import Checked, Positive, ShareBelow1
 from sensors.observation import Observation
 from sensors.semantics import Semantics
 
@@ -27,7 +30,7 @@ _POINTS = 128  # of a reading that are looked up, evenly, of each kind
 
 
 @dataclass(frozen=True)
-class MisfitSettings:
+class MisfitSettings(Checked):
     """Settings of the test, in every run.
 
     Attributes:
@@ -42,23 +45,13 @@ class MisfitSettings:
         recover: widen the belief and search again by what is sensed from then on.
     """
 
-    alpha: float = 0.02
-    fit_m: float = 4e-3
-    broad_m: float = 0.03
-    outlier: float = 0.001
-    knock_m: float = 0.03
-    knock_rad: float = 0.4
+    alpha: ShareBelow1 = 0.02
+    fit_m: Positive = 4e-3
+    broad_m: Positive = 0.03
+    outlier: Annotated[float, Interval(gt=0.0, lt=0.5)] = 0.001
+    knock_m: Positive = 0.03
+    knock_rad: Positive = 0.4
     recover: bool = True
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        if not 0 <= self.alpha < 1:
-            raise ValueError(f"Expected alpha as a chance in [0, 1), got {self.alpha}")
-        if not 0 < self.outlier < 0.5:
-            raise ValueError(f"Expected outlier as a chance between 0 and 0.5, got {self.outlier}")
-        for name in ("fit_m", "broad_m", "knock_m", "knock_rad"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
 
 
 def log_ratios(belief: PoseBelief, added: Observation, sdf: SDF, own: MisfitSettings) -> Float[Tensor, "K"]:

@@ -2,8 +2,12 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Self
+
+from annotated_types import Interval
+
+from sdf.bounds import Checked, Count, CountOr0, Law, NotNegative, Positive, Share
 
 # wide enough for what is no mug: a bracket, a bottle, a ball, whose pushes nothing is fitted to
 _OTHERS: dict[str, Any] = {
@@ -29,10 +33,15 @@ _MUGS: dict[str, Any] = {
     "across": 0.027,
     "turn_rad_per_m": 0.6,
 }
+_NATS = Law("to be 0 or 1e-6 nats at least", lambda nats: not 0 < nats < 1e-6)
+_PLACE = Law(
+    "as three finite numbers (x, y, z)",
+    lambda place: place is None or (len(place) == 3 and all(map(math.isfinite, place))),
+)
 
 
 @dataclass(frozen=True)
-class PoseTrajectorySettings:
+class PoseTrajectorySettings(Checked):
     """Priors of a pushed object's motion, noise of the sensors, and effort of the filter; metres and radians.
 
     Friction and lever of a particle are log-normal, and change a little from segment to segment. After each instant
@@ -133,78 +142,78 @@ class PoseTrajectorySettings:
             a view that is worth less than the first as much less, free ones too.
     """
 
-    particles: int = 150
-    first_particles: int = 0
-    unseen_particles: int = 12000
-    fewest_particles: int = 1800
-    sampling_error: float = 0.0
-    islands: int = 3
-    exchanged: float = 0.0
-    evidence_power: float = 0.2
-    branches: int = 6
-    instants: int = 5
-    lag: int = 10
-    memory: int = 80
-    rounds: int = 2
-    tool_spacing_m: float = 0.002
-    friction: tuple[float, float] = (0.45, 0.3)
-    lever_ratio: tuple[float, float] = (1.25, 0.12)
-    ahead: tuple[float, float] = (0.25, 0.06)
+    particles: Count = 150
+    first_particles: CountOr0 = 0
+    unseen_particles: Count = 12000
+    fewest_particles: Count = 1800
+    sampling_error: Annotated[NotNegative, _NATS] = 0.0
+    islands: Count = 3
+    exchanged: NotNegative = 0.0
+    evidence_power: Share = 0.2
+    branches: Count = 6
+    instants: Count = 5
+    lag: Count = 10
+    memory: Count = 80
+    rounds: Count = 2
+    tool_spacing_m: Positive = 0.002
+    friction: tuple[Positive, NotNegative] = (0.45, 0.3)
+    lever_ratio: tuple[Positive, NotNegative] = (1.25, 0.12)
+    ahead: tuple[NotNegative, NotNegative] = (0.25, 0.06)
     rim: bool | None = None
-    push_m: float = 0.004
-    centre_m: float = 0.001
-    centre_change_m: float = 0.025
-    friction_change: float = 0.1
-    lever_change: float = 0.05
-    along: float = 0.05
-    across: float = 0.045
-    turn_rad_per_m: float = 1.0
-    m_per_rad: float = 0.02
-    least_m: float = 0.0
-    fall_m: float = 0.06
-    firm_change: float = 0.2
-    lean: float = 0.4
-    slip: float = 0.1
-    soft: tuple[float, float] = (0.001, 1.0)
-    grip: tuple[float, float] = (0.5, 1.5)
-    unfitted: float | None = None
-    tails: float = 0.5
-    shared: float = 0.5
-    seen_sd_m: float = 0.0015
-    seen_points: float = 25.0
-    seen_again_points: float = 8.0
+    push_m: NotNegative = 0.004
+    centre_m: NotNegative = 0.001
+    centre_change_m: NotNegative = 0.025
+    friction_change: NotNegative = 0.1
+    lever_change: NotNegative = 0.05
+    along: NotNegative = 0.05
+    across: NotNegative = 0.045
+    turn_rad_per_m: NotNegative = 1.0
+    m_per_rad: NotNegative = 0.02
+    least_m: NotNegative = 0.0
+    fall_m: NotNegative = 0.06
+    firm_change: NotNegative = 0.2
+    lean: NotNegative = 0.4
+    slip: NotNegative = 0.1
+    soft: tuple[NotNegative, NotNegative] = (0.001, 1.0)
+    grip: tuple[NotNegative, NotNegative] = (0.5, 1.5)
+    unfitted: NotNegative | None = None
+    tails: NotNegative = 0.5
+    shared: Share = 0.5
+    seen_sd_m: Positive = 0.0015
+    seen_points: NotNegative = 25.0
+    seen_again_points: NotNegative = 8.0
     looks_again: bool = False
-    free_m: float = 0.001
-    free_sd_m: float = 0.0015
-    free_weight: float = 0.15
-    free_cell_m: float = 0.005
-    free_points: float = 1000.0
-    free_most: int = 1000
-    felt_m: float = 0.0015
-    felt_sd_m: float = 0.002
-    felt_weight: float = 0.5
-    pad_m: float = 0.003
-    pad_slope_m: float = 0.0003
-    pad_weight: float = 0.03
-    pad_spacing_m: float = 0.0025
-    fresh_m: float | None = None
-    force_rad: float = 0.15
-    force_n: float = 0.2
-    force_per_m: float = 20.0
-    moved_m: float = 0.003
-    moved_rad: float = 0.04
-    outliers: float = 0.02
-    missed: float = 0.0
-    dead: float = 0.0
-    false: float = 0.0
+    free_m: NotNegative = 0.001
+    free_sd_m: Positive = 0.0015
+    free_weight: NotNegative = 0.15
+    free_cell_m: Positive = 0.005
+    free_points: NotNegative = 1000.0
+    free_most: Count = 1000
+    felt_m: NotNegative = 0.0015
+    felt_sd_m: Positive = 0.002
+    felt_weight: NotNegative = 0.5
+    pad_m: NotNegative = 0.003
+    pad_slope_m: Positive = 0.0003
+    pad_weight: NotNegative = 0.03
+    pad_spacing_m: Positive = 0.0025
+    fresh_m: NotNegative | None = None
+    force_rad: Positive = 0.15
+    force_n: NotNegative = 0.2
+    force_per_m: NotNegative = 20.0
+    moved_m: Positive = 0.003
+    moved_rad: Positive = 0.04
+    outliers: Annotated[float, Interval(gt=0.0, lt=0.5)] = 0.02
+    missed: NotNegative = 0.0
+    dead: NotNegative = 0.0
+    false: NotNegative = 0.0
     lone: bool = False
-    tool_off_m: float = 0.0
-    tool_off_rad: float = 0.0
-    worn: tuple[float, float] = (0.0, 0.0)
-    height_off: tuple[float, float] | None = None
-    view_off_m: float = 0.0
-    eye_m: tuple[float, float, float] | None = None
-    most: tuple[int, int, int, int] = (500, 250, 60, 120)
+    tool_off_m: NotNegative = 0.0
+    tool_off_rad: NotNegative = 0.0
+    worn: tuple[NotNegative, NotNegative] = (0.0, 0.0)
+    height_off: tuple[NotNegative, NotNegative] | None = None
+    view_off_m: NotNegative = 0.0
+    eye_m: Annotated[tuple[float, float, float] | None, _PLACE] = None
+    most: tuple[Count, Count, Count, Count] = (500, 250, 60, 120)
 
     def for_mugs(self) -> Self:
         """The same for mugs: numbers of the motion that are left at their defaults are fitted ones.
@@ -280,49 +289,3 @@ class PoseTrajectorySettings:
             lever_change=max(0.1, self.lever_change),
             pad_slope_m=2.0 * self.pad_slope_m,
         )
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        for part in fields(self):
-            value = getattr(self, part.name)
-            if value is None or part.name == "eye_m":
-                continue
-            for number in value if isinstance(value, tuple) else (value,):
-                if not 0 <= number < math.inf:
-                    raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
-        whole = (
-            "particles",
-            "unseen_particles",
-            "fewest_particles",
-            "islands",
-            "branches",
-            "instants",
-            "lag",
-            "memory",
-            "rounds",
-        )
-        positive = (
-            "seen_sd_m",
-            "free_sd_m",
-            "felt_sd_m",
-            "pad_slope_m",
-            "pad_spacing_m",
-            "free_cell_m",
-            "tool_spacing_m",
-            "force_rad",
-            "moved_m",
-            "moved_rad",
-        )
-        for name in (*whole, *positive):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if self.eye_m is not None and (len(self.eye_m) != 3 or not all(map(math.isfinite, self.eye_m))):
-            raise ValueError(f"Expected eye_m as three finite numbers (x, y, z), got {self.eye_m}")
-        if min(*self.most, self.free_most) < 1 or self.friction[0] == 0 or self.lever_ratio[0] == 0:
-            raise ValueError("Expected most, free_most, and the medians of friction and lever_ratio, to be above 0")
-        if self.evidence_power > 1:
-            raise ValueError(f"Expected evidence_power in [0, 1], got {self.evidence_power}")
-        if 0 < self.sampling_error < 1e-6:
-            raise ValueError(f"Expected sampling_error to be 0 or 1e-6 nats at least, got {self.sampling_error}")
-        if self.shared > 1 or not 0 < self.outliers < 0.5:
-            raise ValueError(f"Expected shared in [0, 1] and outliers in (0, 0.5), got {self.shared}, {self.outliers}")

@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import pytest
 
 from kmppi import MPPISettings
+from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.static_filter import ResampleMoveSettings
 from rumi.belief.trajectory_filter import TrajectorySettings
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import EngineSettings
@@ -81,6 +83,22 @@ REFUSED = [
     Refused(TrajectorySettings, None, [*one("jitter_m", (0.0, 0.1), (1e-3, INF)), *one("noise", -1.0, NAN)]),
     Refused(TrajectorySettings, None, [{"noise_tails": INF}, *one("overlap_error", 0.0, 0.5), {"sweeps": 1.5}]),
     Refused(TrajectorySettings, None, [{"substeps": 0}, {"passes": 0}, {"resampling": "luck"}]),
+    Refused(PoseTrajectorySettings, None, [{"particles": 0}, {"first_particles": -1}, {"rounds": 1.5}, {"lag": NAN}]),
+    Refused(
+        PoseTrajectorySettings, None, [*one("along", -1.0, INF, NAN), {"height_off": (0.0, -0.1)}, {"fresh_m": -1.0}]
+    ),
+    Refused(
+        PoseTrajectorySettings, None, [*one("friction", (0.0, 1.0), (0.4, NAN), (0.4,)), {"lever_ratio": (0.0, 0.1)}]
+    ),
+    Refused(PoseTrajectorySettings, None, [{"seen_sd_m": 0.0}, {"free_most": 0}, {"most": (500, 250, 0, 120)}]),
+    Refused(PoseTrajectorySettings, r"shared in \[0, 1\], got 1.5", one("shared", 1.5)),
+    Refused(PoseTrajectorySettings, r"outliers in \(0, 0.5\)", one("outliers", 0.0, 0.7)),
+    Refused(PoseTrajectorySettings, "sampling_error to be 0 or 1e-6 nats at least", one("sampling_error", 1e-7)),
+    Refused(PoseTrajectorySettings, "sampling_error to be 0 or more", one("sampling_error", -1.0, NAN)),
+    Refused(PoseTrajectorySettings, "eye_m as 3 values", one("eye_m", (0.0, 0.0))),
+    Refused(MisfitSettings, r"alpha in \[0, 1\)", one("alpha", 1.0, -0.1, NAN)),
+    Refused(MisfitSettings, None, [*one("outlier", 0.0, 0.5), *one("fit_m", 0.0, NAN), {"broad_m": -1.0}]),
+    Refused(MisfitSettings, None, [{"knock_m": 0.0}, {"knock_rad": INF}]),
     Refused(DisplacementSettings, None, [{"mini_steps": 0}, {"push_angle": 0.0}, {"discs": -1}]),
     Refused(DisplacementSettings, "per_step, per_mini_step", one("hazard", "never")),
     Refused(QuasiStaticSettings, None, [{"mini_steps": 0}, {"passes": 0}, {"lever_ratio": 0.0}, {"spacing_m": 0.0}]),

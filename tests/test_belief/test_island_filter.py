@@ -188,7 +188,7 @@ def test_another_belief_is_refused(box, prior):
     other = PoseBelief.uniform(prior.spread_poses(5, generator=generator(0)))
     with pytest.raises(TypeError, match="belief of an island filter"):
         followed(other, Observation.empty(), touches(box, prior)[0], generator=generator(0))
-    with pytest.raises(ValueError, match="islands above 0"):
+    with pytest.raises(ValueError, match="islands to be 1 or more"):
         PoseTrajectorySettings(islands=0)
 
 

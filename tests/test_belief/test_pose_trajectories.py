@@ -280,12 +280,6 @@ def test_tempering_and_parts_of_a_history():
     assert len(history.since_push()) == 0
 
 
-@pytest.mark.parametrize("change", [{"particles": 0}, {"along": -1.0}, {"friction": (0.0, 1.0)}, {"outliers": 0.7}])
-def test_settings_without_meaning_are_refused(change):
-    with pytest.raises(ValueError, match="Expected"):
-        replace(PoseTrajectorySettings(), **change)
-
-
 def test_noise_of_other_objects_has_room_for_what_tips_and_rolls() -> None:
     # a motion that is off by many deviations costs little of the prior: its size is drawn, too
     size = torch.linspace(0.0, 8.0, 801, **DOUBLE)

@@ -41,7 +41,7 @@ def near(metres: float, radians: float) -> float:
 
 @pytest.mark.parametrize("name", ["moved_m", "moved_rad"])
 def test_a_sensor_that_never_errs_is_refused(name):
-    with pytest.raises(ValueError, match=f"Expected {name} above 0, got 0.0"):
+    with pytest.raises(ValueError, match=f"Expected {name} above 0 and finite, got 0.0"):
         PoseTrajectorySettings(**{name: 0.0})
 
 
