@@ -83,8 +83,13 @@ def placed_upright_from(planes, poses, j, x, y):
 
 
 def _look_up(rows, points, which, flat, rise, level, numbers, sizes, distance, gradient, part):
-    """Distances, and gradients unless that is None, which numba compiles away."""
+    """Distances, and gradients, of points at heights of their own, or at `level`, where one layer does.
+
+    What belongs to a gradient or a level that is None numba compiles away.
+    """
     lattice = lattice_of(numbers, sizes)
+    if level is not None:  # read here: within the loop it would be read for each point
+        height = (level[0], level[1])
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
     given = points.reshape(-1)
@@ -94,60 +99,47 @@ def _look_up(rows, points, which, flat, rise, level, numbers, sizes, distance, g
         from_x = 3 * count * which[owner // poses]
         from_y, from_z, to = from_x + count, from_x + 2 * count, owner * count
         for i in range(first, min(first + _STEP, count)):
-            x, y, z = at(given, from_x + i), at(given, from_y + i), at(given, from_z + i)
-            x_o, y_o, z_o = placed(pose, x, y, z)
-            if gradient is None:
-                put(distance, to + i, value(x_o, y_o, z_o, flat, lattice))
-            else:
-                found, along_x, along_y, along_z = value_and_gradient(x_o, y_o, z_o, flat, lattice)
-                put(distance, to + i, found)
-                put(gradient, 3 * (to + i), along_x)
-                put(gradient, 3 * (to + i) + 1, along_y)
-                put(gradient, 3 * (to + i) + 2, along_z)
-
-
-def _look_up_layer(rows, points, which, layer, rise, level, numbers, sizes, distance, gradient, part):
-    """The same where one layer does."""
-    lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
-    poses, count = rows.shape[1], points.shape[2]
-    blocks = (count + _STEP - 1) // _STEP
-    given = points.reshape(-1)
-    for task in indices(part, rows.shape[0] * poses * blocks):
-        owner, first = task // blocks, task % blocks * _STEP
-        pose = row(rows, owner // poses, owner % poses)
-        from_x, to = 3 * count * which[owner // poses], owner * count
-        from_y = from_x + count
-        for i in range(first, min(first + _STEP, count)):
             x, y = at(given, from_x + i), at(given, from_y + i)
-            x_o, y_o = placed_upright(pose, x, y)
-            if gradient is None:
-                put(distance, to + i, layer_value(x_o, y_o, layer, lattice, height))
+            if level is None:
+                x_o, y_o, z_o = placed(pose, x, y, at(given, from_z + i))
             else:
-                found, along_x, along_y, along_z = layer_value_and_gradient(x_o, y_o, layer, rise, lattice, height)
+                x_o, y_o = placed_upright(pose, x, y)
+            if gradient is None:
+                if level is None:
+                    found = value(x_o, y_o, z_o, flat, lattice)
+                else:
+                    found = layer_value(x_o, y_o, flat, lattice, height)
+                put(distance, to + i, found)
+            else:
+                if level is None:
+                    found, along_x, along_y, along_z = value_and_gradient(x_o, y_o, z_o, flat, lattice)
+                else:
+                    found, along_x, along_y, along_z = layer_value_and_gradient(x_o, y_o, flat, rise, lattice, height)
                 put(distance, to + i, found)
                 put(gradient, 3 * (to + i), along_x)
                 put(gradient, 3 * (to + i) + 1, along_y)
                 put(gradient, 3 * (to + i) + 2, along_z)
 
 
-_LOOK_UP, _LOOK_UP_LAYER = Kernel(_look_up, fast=True), Kernel(_look_up_layer, fast=True)
+_LOOK_UP = Kernel(_look_up, fast=True)
 
 
 def posed_distance(sdf: GridSDF, world_T_object: Tensor, points_w: Tensor, height: Tensor | None) -> Tensor:
     """Distances (*b, N, M) by kernels; `height` is that of all points in all object frames, if there is one."""
     shape, scene = _scene(world_T_object, points_w)
-    upright, table = table_arguments(sdf, height, points_w.dtype)
+    upright, (flat, rise, level, *table) = table_arguments(sdf, height, points_w.dtype)
     result = points_w.new_empty(shape)
-    (_LOOK_UP_LAYER if upright else _LOOK_UP)(*scene, *table, result.view(-1).numpy(), None)
+    _LOOK_UP(*scene, flat, rise, level if upright else None, *table, result.view(-1).numpy(), None)
     return result
 
 
 def posed_query(sdf: GridSDF, world_T_object: Tensor, points_w: Tensor, height: Tensor | None) -> SDFQuery:
     """The same with gradients (*b, N, M, 3) in the object frames."""
     shape, scene = _scene(world_T_object, points_w)
-    upright, table = table_arguments(sdf, height, points_w.dtype)
+    upright, (flat, rise, level, *table) = table_arguments(sdf, height, points_w.dtype)
     value, gradient = points_w.new_empty(shape), points_w.new_empty(*shape, 3)
-    (_LOOK_UP_LAYER if upright else _LOOK_UP)(*scene, *table, value.view(-1).numpy(), gradient.view(-1).numpy())
+    found = value.view(-1).numpy(), gradient.view(-1).numpy()
+    _LOOK_UP(*scene, flat, rise, level if upright else None, *table, *found)
     return SDFQuery(value, gradient)
 
 
