@@ -12,8 +12,10 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from sdf.cache import DAMAGED
+from sdf.mesh.off import read_off
+from sdf.number_lines import numbers_of, table_of
 from sensors.vision.numpy_files import read_arrays
-from sensors.vision.ply import numbers_of, read_vertices, table_of
+from sensors.vision.ply import read_vertices
 
 SUFFIXES = (".csv", ".txt", ".xyz", ".off", ".ply", ".npz", ".npy")
 
@@ -57,8 +59,10 @@ def read_contacts(path: str | Path, *, scale: float = 1.0) -> Contacts:
             points, normals = _arrays(path.read_bytes())
         elif suffix == ".ply":
             points, normals = _named(read_vertices(path.read_bytes()))
+        elif suffix == ".off":
+            points, normals = _split(read_off(path.read_text(errors="replace"))[0])
         else:
-            points, normals = (_off if suffix == ".off" else _table)(path.read_text(errors="replace"))
+            points, normals = _table(path.read_text(errors="replace"))
     except (IndexError, *DAMAGED) as error:
         raise UsageError(f"Expected contacts in {path}, could not read them: {error}") from error
     if points.ndim != 2 or points.shape[1] != 3 or (normals is not None and normals.shape != points.shape):
@@ -102,31 +106,6 @@ def _table(text: str) -> _Arrays:
             return _split(numbers_of(lines[place + 1 :], place + 2), words)
         break
     return _split(numbers_of(lines))
-
-
-def _off(text: str) -> _Arrays:
-    """OFF without faces, or with: the header may have numbers of any kind."""
-    lines = text.splitlines()
-    for place, line in enumerate(lines):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
-        if not words[0].upper().endswith("OFF"):
-            raise ValueError(f"expected OFF in its first line, got {line.strip()[:40]!r}")
-        lines[place] = " ".join(words[1:])
-        break
-    rows = numbers_of(lines)
-    if not rows:
-        raise ValueError("expected the number of points after OFF, got nothing")
-    said = rows[0][1][0]
-    if not (said >= 0 and said.is_integer()):
-        raise ValueError(f"expected the number of points after OFF, got {said:g}")
-    count = int(said)
-    if len(rows) - 1 < count:
-        raise ValueError(f"expected the {count} points that its header says, got {len(rows) - 1}")
-    if len(rows) - 1 > count and not (len(rows[0][1]) > 1 and rows[0][1][1] > 0):
-        raise ValueError(f"expected the {count} points that its header says, got {len(rows) - 1}")
-    return _split(rows[1 : 1 + count])
 
 
 def _arrays(data: bytes) -> _Arrays:

@@ -16,6 +16,7 @@ from torch import Tensor
 from sdf import se3
 from sdf.check import check_shape
 from sdf.extras import optional
+from sdf.mesh.off import read_off
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 SMALLEST_M, LARGEST_M = 0.003, 5.0
@@ -163,22 +164,17 @@ def merged(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices[torch.from_numpy(first)], torch.from_numpy(which.reshape(-1))[faces])
 
 
-def read_off(text: str) -> tuple[list[list[float]], list[list[int]]]:
-    """Vertices and triangles of an OFF file that stricter readers refuse: comments anywhere, numbers of any kind.
+def _off(text: str) -> tuple[list[list[float]], list[list[int]]]:
+    """Vertices and triangles of an OFF file that stricter readers refuse, such as one that does not begin with OFF.
 
-    Faces of more corners become fans.
+    Polygons of more corners become fans.
     """
-    lines = [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
-    if lines and lines[0][0].upper() == "OFF":
-        lines[0] = lines[0][1:]
-        lines = lines if lines[0] else lines[1:]
-    count, polygons = (int(float(word)) for word in lines[0][:2])
-    vertices = [[float(word) for word in words[:3]] for words in lines[1 : 1 + count]]
+    points, polygons = read_off(text if "OFF" in text.upper() else f"OFF\n{text}")
     faces = []
-    for words in lines[1 + count : 1 + count + polygons]:
-        corners = [int(float(word)) for word in words[1 : 1 + int(float(words[0]))]]
-        faces += [[corners[0], a, b] for a, b in itertools.pairwise(corners[1:])]
-    return vertices, faces
+    for _, numbers in polygons:
+        first, *others = map(int, numbers[1 : 1 + int(numbers[0])])
+        faces += [[first, a, b] for a, b in itertools.pairwise(others)]
+    return [numbers[:3] for _, numbers in points], faces
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -192,7 +188,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     except Exception as error:  # whatever its parsers stumble over
         if path.suffix.lower() == ".off":
             with contextlib.suppress(ValueError, IndexError, OverflowError):
-                vertices, faces = read_off(path.read_text(errors="replace"))
+                vertices, faces = _off(path.read_text(errors="replace"))
                 loaded = trimesh.Trimesh(vertices, faces, process=False)
                 return _arrays(loaded, path)
         raise MeshError(f"Expected a mesh in {path}, could not read it as {path.suffix.lower()}: {error}") from error

@@ -1,8 +1,8 @@
-"""Vertices of PLY files, and numbers in lines of text."""
-
-import re
+"""Vertices of PLY files."""
 
 import numpy as np
+
+from sdf.number_lines import numbers_of, table_of
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -10,7 +10,6 @@ _TYPES = {
     "double": "f8", "float64": "f8",
 }  # fmt: skip
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?")
 
 
 def read_vertices(data: bytes) -> dict[str, np.ndarray]:
@@ -57,40 +56,3 @@ def read_vertices(data: bytes) -> dict[str, np.ndarray]:
         raise ValueError(f"expected the {count} vertices that its header says, got {len(body) // kind.itemsize}")
     table = np.frombuffer(body, dtype=kind, count=count)
     return {words[2]: table[words[2]] for words in fields}
-
-
-def numbers_of(lines: list[str], first: int = 1) -> list[tuple[int, list[float]]]:
-    """The numbers of each line that has something, with the line's number."""
-    rows = []
-    for number, line in enumerate(lines, first):
-        text = line.partition("#")[0]
-        words = [word for word in re.split(r"[,;\s]+", text) if word]
-        if words:
-            if "," in text and _has_decimal_commas(text):
-                raise ValueError(
-                    f"line {number} seems to have decimal commas, where a comma is taken to part two numbers: "
-                    f"{line.strip()[:60]!r}; write decimal points, or a blank behind each comma that parts"
-                )
-            try:
-                rows.append((number, [float(word) for word in words]))
-            except ValueError:
-                raise ValueError(f"line {number} has something that is no number: {line.strip()[:60]!r}") from None
-    return rows
-
-
-def _has_decimal_commas(text: str) -> bool:
-    """Whether commas stand within numbers that something else parts: 3 or 6 of them then."""
-    words = [word for word in re.split(r"[;\s]+", text) if word]
-    return len(words) in (3, 6) and all(_DECIMAL_COMMA.fullmatch(word) for word in words)
-
-
-def table_of(rows: list[tuple[int, list[float]]], width: int) -> np.ndarray:
-    """Rows that are all as long, as an array (K, width).
-
-    Raises:
-        ValueError: one is not.
-    """
-    for number, row in rows:
-        if len(row) != width:
-            raise ValueError(f"line {number} has {len(row)} numbers where others have {width}")
-    return np.array([row for _, row in rows]).reshape(-1, width)

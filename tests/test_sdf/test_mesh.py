@@ -59,11 +59,10 @@ def test_moved_and_scaled(shapes):
         mesh.scaled(0.0)
 
 
-def test_an_off_file_with_comments_and_floats_for_counts(tmp_path):
+@pytest.mark.parametrize("first", ["OFF # a square\n", "", "COFF "])
+def test_an_off_file_with_comments_and_floats_for_counts(tmp_path, first):
     path = tmp_path / "odd.off"
-    path.write_text(
-        "OFF # a square\n4.0 1.0 0.0\n0 0 0\n\n1 0 0 # corner\n# more\n1 1 0\n0 1 0\n4 0 1 2 3 0.5 0.5 0.5\n"
-    )
+    path.write_text(f"{first}4.0 1.0 0.0\n0 0 0\n\n1 0 0 # corner\n# more\n1 1 0\n0 1 0\n4 0 1 2 3 0.5 0.5 0.5\n")
     mesh = load_mesh(path)
     assert mesh.faces.shape == (2, 3) and len(mesh.vertices) == 4
 
