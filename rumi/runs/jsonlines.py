@@ -1,6 +1,5 @@
 """Files of JSON lines that several processes add to, and that a kill at any moment leaves readable."""
 
-import errno
 import json
 import os
 import sys
@@ -88,38 +87,3 @@ def check_writable(path: Path) -> None:
             probe.unlink()
     except OSError as error:
         raise UsageError(f"Cannot write {path}: {error.strerror or error}; give another file") from error
-
-
-class Claims:
-    """Which pieces of work a process has taken; the system gives them free when the process ends, however it ends.
-
-    One lock a piece, on one byte of one file: nothing is left behind that would have to be cleaned up. Locks are the
-    process's: within one process they keep nobody out.
-
-    Args:
-        path: of the file that carries the locks; made with its folder.
-    """
-
-    def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # kept open until the process ends: closing it would drop all locks
-        self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-
-    def take(self, name: str) -> bool:
-        """Claim a piece of work by a name of hexadecimal digits; False where another process has it."""
-        try:
-            if sys.platform != "win32":
-                fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
-        except OSError as error:
-            # where a file system has no locks two may do the same work: then it is there twice
-            return error.errno not in (errno.EACCES, errno.EAGAIN)
-        return True
-
-    def leave(self, name: str) -> None:
-        """Give a piece of work back."""
-        if sys.platform != "win32":
-            fcntl.lockf(self._file, fcntl.LOCK_UN, 1, _place(name))
-
-
-def _place(name: str) -> int:
-    return int(name[:15], 16)  # below the largest offset of a file

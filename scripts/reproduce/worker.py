@@ -1,7 +1,9 @@
 """Does the work that is missing, beside others that do the same."""
 
+import errno
 import os
 import platform
+import sys
 import threading
 import time
 import traceback
@@ -12,10 +14,13 @@ from pathlib import Path
 from typing import Self
 
 from rumi.errors import UsageError
-from rumi.runs.jsonlines import Claims, append_line, read_lines
+from rumi.runs.jsonlines import append_line, read_lines
 from scripts.reproduce.jobs import Job
 from scripts.reproduce.records import Records
 from sdf.threads import using
+
+if sys.platform != "win32":  # there one process at a time
+    import fcntl
 
 PAUSE_S = 0.5
 """How often someone who waits for others looks whether they are done."""
@@ -55,6 +60,37 @@ class Errand:
     def claims(self) -> Path:
         """File that carries the locks of what is being done."""
         return self.path.with_name(f".{self.path.stem}.claims")
+
+
+class Claims:
+    """Which pieces of work a process has taken; the system gives them free when the process ends, however it ends.
+
+    One lock a piece, on one byte of one file: nothing is left behind that would have to be cleaned up. Locks are the
+    process's: within one process they keep nobody out.
+
+    Args:
+        path: of the file that carries the locks; made with its folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # kept open until the process ends: closing it would drop all locks
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+
+    def take(self, name: str) -> bool:
+        """Claim a piece of work by a name of hexadecimal digits; False where another process has it."""
+        try:
+            if sys.platform != "win32":
+                fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
+        except OSError as error:
+            # where a file system has no locks two may do the same work: then it is there twice
+            return error.errno not in (errno.EACCES, errno.EAGAIN)
+        return True
+
+    def leave(self, name: str) -> None:
+        """Give a piece of work back."""
+        if sys.platform != "win32":
+            fcntl.lockf(self._file, fcntl.LOCK_UN, 1, _place(name))
 
 
 def work(errand: Errand, first: int = 0, of: int = 1) -> None:
@@ -149,3 +185,7 @@ def _settle(job: Job, errand: Errand, records: Records, claims: Claims) -> bool:
 
 def _code(errand: Errand, kind: str) -> str:
     return next(job.code for job in errand.jobs if job.kind == kind)
+
+
+def _place(name: str) -> int:
+    return int(name[:15], 16)  # below the largest offset of a file

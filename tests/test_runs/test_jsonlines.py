@@ -1,4 +1,4 @@
-"""Lines that several processes add to one file, and claims that end with their process."""
+"""Lines that several processes add to one file."""
 
 import json
 import subprocess
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from rumi.runs.jsonlines import Claims, append_line, read_lines
+from rumi.runs.jsonlines import append_line, read_lines
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="locks of files are POSIX's")
 
@@ -56,31 +56,3 @@ def test_processes_do_not_mix_their_lines(tmp_path):
     assert [process.wait() for process in started] == [0, 0, 0]
     lines = [json.loads(text) for text in path.read_text().splitlines()]
     assert sorted((line["who"], line["k"]) for line in lines) == [(w, k) for w in "abc" for k in range(60)]
-
-
-@POSIX
-def test_a_claim_ends_with_its_process(tmp_path):
-    code = (
-        "import sys; from pathlib import Path; from rumi.runs.jsonlines import Claims\n"
-        "claims = Claims(Path(sys.argv[1])); print(claims.take('00ab' * 4), claims.take('ffff' * 4), flush=True)\n"
-        "sys.stdin.readline(); claims.leave('ffff' * 4); print('left', flush=True); sys.stdin.readline()"
-    )
-    path = tmp_path / "claims"
-    other = subprocess.Popen(
-        [sys.executable, "-c", code, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        assert other.stdout.readline().split() == ["True", "True"]
-        own = Claims(path)
-        assert not own.take("00ab" * 4)
-        assert own.take("0000" * 4)
-        assert not own.take("ffff" * 4)
-        other.stdin.write("\n")
-        other.stdin.flush()
-        assert other.stdout.readline() == "left\n"
-        assert own.take("ffff" * 4)
-        assert not own.take("00ab" * 4)
-    finally:
-        other.kill()
-        other.wait()
-    assert own.take("00ab" * 4)
