@@ -28,7 +28,8 @@ class Watch:
         named: the fault of the last alarm, or of the last word.
         following: filter that the run goes on by since an alarm; None for its own.
         adopted: the rival that was right, by the last alarm.
-        rivals: beliefs under faults that hold from the first view on; None before they are asked.
+        rivals: beliefs under faults that hold from the first view on; None before they are asked, none once all were
+            given up.
         static: log-likelihood ratio of all readings so far of each such fault.
         beside_m: how far what was felt last is from where any particle has it felt.
         set_aside: whether the last reading is left out: something was felt falsely in it, which by itself is no fault.
