@@ -78,6 +78,13 @@ def test_every_script_ends_so(path):
     assert not main or "    script(" in ends or without_rumi
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "scripts").rglob("*.py")), ids=str)
+def test_no_script_keeps_a_run_that_ctrl_c_cut_off(path):
+    """What `rumi.loop.run` gives may be cut off; `run_to_end` raises."""
+    code = path.read_text()
+    assert "loop.run(" not in code and "from rumi.loop import run\n" not in code
+
+
 def test_the_lines_of_the_readme_run(monkeypatch, capsys):
     code = (ROOT / "README.md").read_text().split("```python\n")[1].split("```")[0]
     assert len(code.splitlines()) <= 8
