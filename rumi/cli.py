@@ -4,10 +4,13 @@ A subcommand is an address in a table, so that help is there at once: nothing is
 """
 
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from importlib import import_module
+from types import FrameType
 from typing import NamedTuple, NoReturn
 
 from rumi import __version__, environment
@@ -132,22 +135,53 @@ def _call(name: str, arguments: Sequence[str], loading: _Context = nullcontext) 
 
 def _guarded(work: Callable[[], int]) -> int:
     """The exit code of some work; what goes wrong is said in a line or two."""
+    with _interrupts() as noted:
+        try:
+            return work()
+        except SystemExit as end:  # of the parser, which has said why, or with words
+            if isinstance(end.code, str):
+                sys.stderr.write(f"rumi: {end.code}\n")
+            return DONE if end.code is None else end.code if isinstance(end.code, int) else BAD_INPUT
+        except KeyboardInterrupt:
+            return _interrupted()
+        except BrokenPipeError:  # whoever read the output has seen enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            return DONE
+        except Exception as error:
+            if os.environ.get("RUMI_DEBUG"):
+                raise
+            # a library that Ctrl-C finds half loaded fails by an error of any kind; a full disk after it is still said
+            if noted and not isinstance(error, (UsageError, DegenerateBeliefError, OSError)):
+                return _interrupted()
+            if not isinstance(error, (UsageError, DegenerateBeliefError, ValueError, OSError, ModuleNotFoundError)):
+                raise
+            return _refuse(error)
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Signals of Ctrl-C that have come within the block; each raises KeyboardInterrupt, as without it."""
+    noted: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        noted.append(number)
+        raise KeyboardInterrupt
+
+    # a handler of the caller's own stays, and so does that of a shell that has what it runs in the background ignore it
+    main_thread = threading.current_thread() is threading.main_thread()
+    if not main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield noted
+        return
+    before = signal.signal(signal.SIGINT, note)
     try:
-        return work()
-    except SystemExit as end:  # of the parser, which has said why, or with words
-        if isinstance(end.code, str):
-            sys.stderr.write(f"rumi: {end.code}\n")
-        return DONE if end.code is None else end.code if isinstance(end.code, int) else BAD_INPUT
-    except KeyboardInterrupt:
-        sys.stderr.write("rumi: interrupted\n")
-        return INTERRUPTED
-    except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        return DONE
-    except (UsageError, DegenerateBeliefError, ValueError, OSError, ModuleNotFoundError) as error:
-        if os.environ.get("RUMI_DEBUG"):
-            raise
-        return _refuse(error)
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _interrupted() -> int:
+    sys.stderr.write("rumi: interrupted\n")
+    return INTERRUPTED
 
 
 def _refuse(error: Exception) -> int:

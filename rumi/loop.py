@@ -84,6 +84,40 @@ def run(
     Returns:
         the agent's `result`.
     """
+    _, result = _ended(task, agent, seed, steps, on_step)
+    return result
+
+
+def run_to_end(
+    task: Task,
+    agent: Agent[Any],
+    *,
+    seed: int,
+    steps: int | None = None,
+    on_step: Callable[[Any], None] = lambda record: None,
+) -> Any:  # noqa: ANN401  (the agent's own result)
+    """Let an agent do a task as `run` does, for whoever keeps or counts the result: one that was cut off is none.
+
+    Args:
+        task: as in `run`.
+        agent: as in `run`.
+        seed: as in `run`.
+        steps: as in `run`.
+        on_step: as in `run`.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C ended the run.
+    """
+    stopped_by, result = _ended(task, agent, seed, steps, on_step)
+    if stopped_by == "interrupted":
+        raise KeyboardInterrupt
+    return result
+
+
+def _ended(
+    task: Task, agent: Agent[Any], seed: int, steps: int | None, on_step: Callable[[Any], None]
+) -> tuple[StopReason, Any]:
+    """Why a run ended, and the agent's result."""
     course = episode(agent, seed=seed, steps=steps, on_step=on_step)
     next(course)
     try:
@@ -94,8 +128,8 @@ def run(
         except KeyboardInterrupt:
             course.throw(KeyboardInterrupt)
     except StopIteration as ended:
-        _, result = ended.value
-        return result
+        stopped_by, result = ended.value
+    return stopped_by, result
 
 
 def carry_out(task: Task, action: Any) -> Any:  # noqa: ANN401  (of the task)

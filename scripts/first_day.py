@@ -206,7 +206,7 @@ def measure(object: str, motion: str, seed: int) -> dict[str, Any]:
     ready, off_upright = time.perf_counter(), list[float]()
     try:
         with parts:
-            result = loop.run(
+            result = loop.run_to_end(
                 *parts, seed=seed, steps=parts.agent.steps, on_step=lambda step: off_upright.append(tilt(step))
             )
     except DegenerateBeliefError as error:

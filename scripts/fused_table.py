@@ -85,7 +85,7 @@ def measure(sensors: str, seed: int) -> dict[str, Any]:
     parts = parts_of(sensors)
     began, used = time.perf_counter(), time.process_time()
     try:
-        found = loop.run(*parts, seed=seed).as_dict()
+        found = loop.run_to_end(*parts, seed=seed).as_dict()
     except (DegenerateBeliefError, ValueError) as error:
         found = {"right": False, "lifted": False, "stopped_by": "error", "error": str(error)[:200]}
     found.pop("timings_s", None)

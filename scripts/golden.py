@@ -104,7 +104,7 @@ def of_result(result: RunResult) -> Record:
 def of_rummaging(trace: Trace, settings: Settings, steps: int) -> Record:
     """A task with a gripper that moves about an object."""
     with build(settings, cache_dir=trace.folder) as parts:
-        return of_result(loop.run(*parts, seed=settings.seed, steps=steps, on_step=trace))
+        return of_result(loop.run_to_end(*parts, seed=settings.seed, steps=steps, on_step=trace))
 
 
 def of_replay(trace: Trace, settings: Settings, steps: int) -> Record:
@@ -116,7 +116,7 @@ def of_replay(trace: Trace, settings: Settings, steps: int) -> Record:
             log(step)
             live(step)
 
-        log.finish(loop.run(*parts, seed=settings.seed, steps=steps, on_step=on_step))
+        log.finish(loop.run_to_end(*parts, seed=settings.seed, steps=steps, on_step=on_step))
     entry, opened = TASKS[settings.task], RunLog(path)
     again = entry.from_dict(opened.settings)
     agent = entry.agent(again, cache_dir=trace.folder)
@@ -129,7 +129,7 @@ def of_touching(trace: Trace, robot: Robot, method: str, actions: int) -> Record
     """A box that is found by touch alone."""
     settings = replace(TouchSettings(method=method), actions=actions)
     with build_touch_box(TouchTask(), settings, robot, cache_dir=trace.folder) as parts:
-        run = loop.run(*parts, seed=0)
+        run = loop.run_to_end(*parts, seed=0)
     for step in run.records:
         trace.add(step.belief, None if step.touched is None else step.touched.path)
     grasp = run.end.grasp
@@ -147,7 +147,7 @@ def of_peg(trace: Trace, settings: PegSettings) -> Record:
 
     real = peg_agent.aim_of
     with mock.patch.object(peg_agent, "aim_of", aim_of):
-        run = loop.run(*build_peg(settings), seed=0)
+        run = loop.run_to_end(*build_peg(settings), seed=0)
     paths = [torch.cat([one.path for one in run.searched]), *(one.path for one in run.felt)]
     for belief, path in zip(beliefs, paths, strict=True):
         trace.add(belief, path)
@@ -161,7 +161,7 @@ def of_fused(trace: Trace, sensors: tuple[SensorName, ...], steps: int) -> Recor
     """A mug that is found by several sensors, and lifted."""
     settings = HandleSettings(sensors=sensors, steps=steps)
     with build_handle(settings, cache_dir=trace.folder) as parts:
-        found = loop.run(*parts, seed=0, on_step=trace)
+        found = loop.run_to_end(*parts, seed=0, on_step=trace)
     grasp = {} if found.grasp is None else {"grasp": list(found.grasp)}
     names = {field.name for field in fields(RunResult)}
     own = {name: value for name, value in of_result(found).items() if name in names}

@@ -39,7 +39,7 @@ def ended(
     """
     names = _NAMES | {name: name for name in more}
     try:
-        result = loop.run(*parts, seed=seed, on_step=on_step)
+        result = loop.run_to_end(*parts, seed=seed, on_step=on_step)
     except DegenerateBeliefError:
         return dict.fromkeys(names) | {"stopped_by": "degenerate", "right": False, "lost": True}
     found = {"stopped_by": result.stopped_by, "right": result.right}

@@ -124,7 +124,7 @@ def measure(task: str, reading: str, seed: int) -> dict[str, Any]:
     steps: list[StepRecord] = []
     scene = half_as_far(find_task(task)).name if "camera" in parts_of(reading) else task
     with build(settings_of(reading, task=scene, seed=seed), cache_dir=cache_folder()) as (world, agent):
-        result = loop.run(world, agent, seed=seed, on_step=steps.append)
+        result = loop.run_to_end(world, agent, seed=seed, on_step=steps.append)
         diagonal = float(agent.model.diagonal)
     return {
         "right": result.right,

@@ -13,7 +13,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.cache import cache_folder
 from rumi.clock import Clock
 from rumi.fields.information import information_field
-from rumi.loop import run
+from rumi.loop import run_to_end
 from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.task import Task
@@ -168,7 +168,7 @@ def plan_cost(agent: Rummager, moment: Moment, controls: Tensor) -> float:
 def whole_run(task: Task, agent: Rummager, policy: RummagingPolicy, seed: int) -> dict[str, Any]:
     """How a run of an agent comes out by some policy."""
     begun = clock()
-    result = run(task, replace(agent, policy=policy), seed=seed)
+    result = run_to_end(task, replace(agent, policy=policy), seed=seed)
     return {
         "right": result.right,
         "actions": result.steps,

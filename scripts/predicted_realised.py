@@ -145,7 +145,7 @@ def one_run(settings: Settings) -> list[dict[str, Any]]:
     steps: list[StepRecord] = []
     most = find_task(settings.task).steps if settings.steps is None else settings.steps
     try:
-        loop.run(parts.task, parts.agent, seed=settings.seed, steps=most, on_step=steps.append)
+        loop.run_to_end(parts.task, parts.agent, seed=settings.seed, steps=most, on_step=steps.append)
     finally:
         parts.task.close()
     return judged(steps, parts.agent, settings)
@@ -187,7 +187,7 @@ def one_touch_run(seed: int) -> list[dict[str, Any]]:
     """Carry out one run of touch-box by its default, and judge its pokes."""
     with build_touch_box(TouchTask(), TouchSettings(), "gripper", cache_dir=cache_folder()) as (task, agent):
         judge = _Judged(agent)
-        loop.run(task, judge, seed=seed)
+        loop.run_to_end(task, judge, seed=seed)
     return judge.actions
 
 

@@ -80,7 +80,7 @@ def measure(choice: str, task: str, seed: int) -> dict[str, Any]:
         parts = build(settings, cache_dir=cache_folder())
     begun = time.process_time()
     try:
-        result = loop.run(parts.task, parts.agent, seed=settings.seed, steps=parts.agent.steps)
+        result = loop.run_to_end(parts.task, parts.agent, seed=settings.seed, steps=parts.agent.steps)
     except DegenerateBeliefError:
         found: dict[str, Any] = {"right": False, "stopped_by": "degenerate", "steps": 0, "outcome": "unsure"}
     else:

@@ -52,7 +52,7 @@ def measure(model: str, task: str, seed: int) -> dict[str, Any]:
     parts = build(settings, cache_dir=cache_folder())
     begun, wall = time.process_time(), time.perf_counter()
     try:
-        result = loop.run(parts.task, parts.agent, seed=settings.seed, steps=spec.steps)
+        result = loop.run_to_end(parts.task, parts.agent, seed=settings.seed, steps=spec.steps)
     except DegenerateBeliefError:
         found: dict[str, Any] = {"right": False, "stopped_by": "degenerate"}
     else:

@@ -35,7 +35,7 @@ def measure(task: str, seed: int, threads: int) -> dict[str, Any]:
         world, rummager = build(settings, cache_dir=cache_folder())
         start = time.perf_counter()
         with RunRecorder(path, to_dict(settings)) as log:
-            live = loop.run(world, rummager, seed=seed, steps=STEPS, on_step=log)
+            live = loop.run_to_end(world, rummager, seed=seed, steps=STEPS, on_step=log)
             log.finish(live)
         live_s = time.perf_counter() - start
         world.close()

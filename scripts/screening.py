@@ -51,7 +51,7 @@ def measure(task: str, seed: int) -> dict[str, Any]:
             return act(request)
 
         policy.act = kept
-        loop.run(world, agent, seed=seed)
+        loop.run_to_end(world, agent, seed=seed)
         policy.act, own = act, policy.settings
         settings = {"full": replace(own, screen_kept=1.0)}
         settings |= {

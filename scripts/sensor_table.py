@@ -89,7 +89,7 @@ def measure(sensors: str, task: str, seed: int) -> dict[str, Any]:
     world, rummager = build(settings, cache_dir=cache_folder())
     began = time.perf_counter()
     try:
-        found = loop.run(world, rummager, seed=seed, steps=spec.steps).as_dict()
+        found = loop.run_to_end(world, rummager, seed=seed, steps=spec.steps).as_dict()
     except (DegenerateBeliefError, ValueError) as error:
         found = {"right": False, "stopped_by": "error", "error": str(error)[:200]}
     finally:

@@ -27,7 +27,7 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
-from rumi.loop import run
+from rumi.loop import run_to_end
 from rumi.metrics.calibration import checked
 from rumi.metrics.pose_error import pose_error
 from rumi.records import StepRecord
@@ -150,7 +150,7 @@ def recorded(options: Options, seed: int) -> Figures:
             tracks.append(track)
             state["before"] = now
 
-        ended = run(task, agent, seed=seed, on_step=note)
+        ended = run_to_end(task, agent, seed=seed, on_step=note)
     options.folder.mkdir(parents=True, exist_ok=True)
     torch.save((readings, tracks), options.folder / f"{options.task}-{seed}.pt")
     return {"stopped_by": ended.stopped_by, "steps": steps}

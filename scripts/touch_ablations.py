@@ -167,7 +167,7 @@ VARIANTS: dict[str, Variant] = {
 def measure(variant: str, seed: int) -> dict[str, Any]:
     """One run."""
     with VARIANTS[variant].parts() as parts:
-        return loop.run(*parts, seed=seed).as_dict()
+        return loop.run_to_end(*parts, seed=seed).as_dict()
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:

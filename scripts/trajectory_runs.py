@@ -23,7 +23,7 @@ import tyro
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
 from rumi.information.stopping import STOP_RULES
-from rumi.loop import run
+from rumi.loop import run_to_end
 from rumi.metrics.calibration import calibration_error, chance_error, checked
 from rumi.metrics.pose_error import pose_error
 from rumi.records import StepRecord
@@ -118,7 +118,7 @@ def measured(options: Options, motion: str, seed: int) -> dict[str, Any]:
                 }
             )
 
-        result = run(task, agent, seed=seed, on_step=note)
+        result = run_to_end(task, agent, seed=seed, on_step=note)
     return {"stopped_by": result.stopped_by, "steps": steps}
 
 

@@ -24,7 +24,7 @@ from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.trajectory_moves import Moves
 from rumi.cli import script
-from rumi.loop import run
+from rumi.loop import run_to_end
 from rumi.resampling import systematic
 from rumi.seeding import split
 from rumi.tasks.rummage.build import build
@@ -61,7 +61,7 @@ def record(options: Record) -> None:
             continue
         readings: list[Any] = []
         with build(settings_of(Options(), "trajectory", seed), cache_dir=Path("runs/cache")) as (task, agent):
-            run(task, agent, seed=seed, on_step=lambda step, kept=readings: kept.append(step.reading))
+            run_to_end(task, agent, seed=seed, on_step=lambda step, kept=readings: kept.append(step.reading))
         torch.save(readings, path)
 
 

@@ -159,6 +159,17 @@ def test_ctrl_c_ends_it_with_what_it_has():
         loop.run(Told("reset 0"), Counter(), seed=0)
 
 
+def test_a_run_to_the_end_is_no_result_where_ctrl_c_cut_it_off():
+    seen = []
+    assert loop.run_to_end(Told(), Counter(), seed=7, steps=2, on_step=seen.append) == (2, "steps", "grasp")
+    assert [record.step for record in seen] == [0, 1, 2]
+    for where in ("reset 0", "on", "grasp"):
+        with pytest.raises(KeyboardInterrupt):
+            loop.run_to_end(Told(where), Counter(enough=1), seed=0)
+    with pytest.raises(KeyboardInterrupt):
+        loop.run_to_end(Told(), Impatient(), seed=0)
+
+
 def test_records_of_before_tell_their_end_in_todays_words():
     former = {"converged": "sure", "actions": "steps", "time": "nothing to do", "stay": "nothing to do"}
     assert {word: stop_reason(word) for word in former} == former

@@ -62,7 +62,7 @@ class CalibrateOptions(Generic[S]):
 
 
 def calibrate(arguments: Sequence[str]) -> int:
-    """`rumi calibrate`: 0 when the episodes are there and reported, 2 for bad input."""
+    """`rumi calibrate`: 0 when the episodes are there and reported, 2 for bad input; Ctrl-C leaves those that ended."""
     if not arguments or arguments[0] in ("-h", "--help"):
         (sys.stdout if arguments else sys.stderr).write(_HELP + listing())
         return DONE if arguments else BAD_INPUT
@@ -79,7 +79,12 @@ def calibrate(arguments: Sequence[str]) -> int:
     path = options.out or Path("runs") / f"calibration-{name}.jsonl"
     check_writable(path)
     mark = hashlib.sha256(repr(replace(settings, seed=0)).encode()).hexdigest()[:12]
-    there = {line["seed"]: line for line, _ in read_lines(path) if (line.get("task"), line.get("mark")) == (name, mark)}
+    there = {
+        line["seed"]: line
+        for line, _ in read_lines(path)
+        # files of before hold episodes that Ctrl-C cut off
+        if (line.get("task"), line.get("mark")) == (name, mark) and line.get("stopped_by") != "interrupted"
+    }
     seeds = range(settings.seed, settings.seed + options.episodes)
     for number, seed in enumerate(seeds):
         if seed not in there:
@@ -117,7 +122,7 @@ def episode(entry: TaskEntry[Any], settings: Any) -> dict[str, Any]:  # noqa: AN
             )
             steps.append({"contacts": step.contacts, **found._asdict()})
 
-        result = loop.run(task, agent, seed=settings.seed, steps=entry.steps(settings), on_step=note)
+        result = loop.run_to_end(task, agent, seed=settings.seed, steps=entry.steps(settings), on_step=note)
     return {"stopped_by": result.stopped_by, "steps": steps}
 
 

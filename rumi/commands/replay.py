@@ -16,7 +16,7 @@ from rumi.commands.flags import FLAGS
 from rumi.commands.recordings import keep
 from rumi.commands.replay_summary import differing, machines, summary
 from rumi.errors import UsageError
-from rumi.exit_codes import DONE, NOT_CONVERGED
+from rumi.exit_codes import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.runs.logbook import LOG
 from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, IMPORTED, TASKS, TaskEntry, entry_of_record
@@ -69,7 +69,10 @@ class ReplayOptions(Generic[S]):
 
 
 def replay(arguments: Sequence[str]) -> int:
-    """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
+    """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input.
+
+    Ctrl-C ends it with 130 and what it has.
+    """
     if not arguments or arguments[0].startswith("-"):
         if _HELP_FLAGS & set(arguments):
             _parsed(arguments, Path("RUN"), entry_of_imported(), entry_of_imported().preset("default"))
@@ -264,15 +267,20 @@ def _replay(
             if scene is not None:
                 (recorder.folder / MAP).write_text(scene.text, encoding="utf-8")
             recorder.finish(done.result)
-    if options.figures and options.out is not None:
+    interrupted = done.result.stopped_by == "interrupted"
+    if options.figures and options.out is not None and not interrupted:
         entry.draw(load_run(options.out), options.out / "figures")
         keep(options.out)
     asked = [name for name in changed if name not in idle]
     lines = [line for line in entry.summary(settings, done.result) if line.split(" ", 1)[0] not in _OF_LIVE]
     sys.stdout.write(summary(done, label, lines, len(taken), asked, options.out))
-    if not asked and False in done.same:
+    differs = not asked and False in done.same
+    if differs:
         for line in machines(log):
             say(line)
+    if interrupted:
+        return INTERRUPTED
+    if differs:
         return NOT_CONVERGED
     return DONE if done.result.stopped_by == "sure" else NOT_CONVERGED
 

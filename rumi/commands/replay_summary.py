@@ -30,7 +30,7 @@ def summary(
     first, *rest = lines
     lines = [f"{name}: {first}", *rest]
     if used < readings:
-        lines.append(f"readings {used} of {readings}: sure before the log's end")
+        lines.append(f"readings {used} of {readings}: {done.result.stopped_by} before the log's end")
     known = [same for same in done.same if same is not None]
     if not known:
         lines.append("belief   no live run's to compare with")

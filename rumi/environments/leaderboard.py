@@ -1,4 +1,4 @@
-"""Leader board of policies: whole runs over given seeds, each by `rumi.loop.run`."""
+"""Leader board of policies: whole runs over given seeds, each by `rumi.loop.run_to_end`."""
 
 import hashlib
 import importlib.util
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from rumi.environments.views import VIEWS, Observed, View
 from rumi.errors import UsageError
-from rumi.loop import run
+from rumi.loop import run_to_end
 from rumi.task import StepResult, Task
 from rumi.tasks.rummage.agent import Rummager, RummageState
 
@@ -145,6 +145,7 @@ def score(
 
     Raises:
         UsageError: the file is no policy.
+        KeyboardInterrupt: Ctrl-C cut a run off.
     """
     player: Any = Player(agent)
     if path is not None:
@@ -154,7 +155,7 @@ def score(
     for seed in seeds:
         if path is not None and hasattr(player.policy, "start"):
             player.policy.start(seed)
-        result = run(task, player, seed=seed, steps=agent.steps)
+        result = run_to_end(task, player, seed=seed, steps=agent.steps)
         results.append(result)
         on_run(seed, result)
     return Score(

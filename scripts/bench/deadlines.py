@@ -75,7 +75,7 @@ class Situations:
     def given(self) -> list[tuple[PoseBelief, Scene]]:
         """The situations, in order."""
         watched = _Watched(self.parts.agent.policy)
-        loop.run(self.parts.task, replace(self.parts.agent, policy=watched), seed=self.seed, steps=self.steps)
+        loop.run_to_end(self.parts.task, replace(self.parts.agent, policy=watched), seed=self.seed, steps=self.steps)
         self.parts.task.close()
         return watched.given
 
@@ -180,7 +180,7 @@ class Pokes:
         agent = copy.copy(self.parts.agent)
         agent.chooser = watched
         for seed in self.seeds:
-            loop.run(self.parts.task, agent, seed=seed)
+            loop.run_to_end(self.parts.task, agent, seed=seed)
         return given
 
 

@@ -48,7 +48,7 @@ def run_figures(run: RunSettings) -> Figures:
     begun, busy = time.perf_counter(), time.process_time()
     try:
         steps = find_task(run.task).steps if run.steps is None else run.steps
-        result = loop.run(parts.task, parts.agent, seed=run.seed, steps=steps)
+        result = loop.run_to_end(parts.task, parts.agent, seed=run.seed, steps=steps)
     finally:
         parts.task.close()
     names = ("right", "actions", "stopped_by", "final_nll", "position_error_mm", "rotation_error_deg", "timings_s")

@@ -16,7 +16,7 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.cache import cache_folder
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
-from rumi.loop import run
+from rumi.loop import run_to_end
 from rumi.robot.tool import Tool
 from rumi.session import run_scenes
 from sdf import se3
@@ -169,7 +169,7 @@ def runs(count: int, steps: int) -> dict[str, float | str]:
         f"whole runs of {steps} actions",
         count,
         together,
-        lambda row: run(tasks[row], agents[row], seed=1000 + row, steps=steps),
+        lambda row: run_to_end(tasks[row], agents[row], seed=1000 + row, steps=steps),
     )
 
 

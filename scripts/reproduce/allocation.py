@@ -164,7 +164,7 @@ def draw_runs(seed: int, folder: Path) -> list[Path]:
     from rumi.tasks.peg.agent import build_peg
     from rumi.viz import style
 
-    runs = [loop.run(*build_peg(settings_of([f"t_max_s={t}", "stop=contacts"])), seed=seed) for t in (10, 20)]
+    runs = [loop.run_to_end(*build_peg(settings_of([f"t_max_s={t}", "stop=contacts"])), seed=seed) for t in (10, 20)]
     with style.figure(9.0, 3.4) as figure:
         axes = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.0))
         peg.draw_contacts(runs[0], axes[0]).set_title("t_max 10 s, the table")

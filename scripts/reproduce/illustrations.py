@@ -54,7 +54,7 @@ def begin(settings: Settings, steps: int, cache_dir: Path) -> Seen:
     """The first steps of a run."""
     seen: list[StepRecord] = []
     with build(settings, cache_dir=cache_dir) as (world, rummager):
-        loop.run(world, rummager, seed=settings.seed, steps=steps, on_step=seen.append)
+        loop.run_to_end(world, rummager, seed=settings.seed, steps=steps, on_step=seen.append)
         return Seen(seen, rummager, scene_geometry(rummager))
 
 

@@ -26,7 +26,7 @@ def carry_out(overrides: Sequence[str], seed: int) -> dict[str, Any]:
         `curves`: when each side was touched, and the probability that both holes are where they are thought to be.
     """
     begun = time.perf_counter()
-    run = loop.run(*build_peg(settings_of(overrides)), seed=seed)
+    run = loop.run_to_end(*build_peg(settings_of(overrides)), seed=seed)
     figures = run.as_dict()
     contact = figures.pop(_LIST)
     for name in ("truth", "holes_m", "inserted_m"):

@@ -85,7 +85,7 @@ def _begin(settings: Settings, steps: int, cache_dir: Path) -> tuple[StepRecord,
     parts = build(settings, cache_dir=cache_dir)
     seen: list[StepRecord] = []
     try:
-        loop.run(parts.task, parts.agent, seed=settings.seed, steps=steps, on_step=seen.append)
+        loop.run_to_end(parts.task, parts.agent, seed=settings.seed, steps=steps, on_step=seen.append)
     finally:
         parts.task.close()
     return seen[-1], parts.agent

@@ -147,7 +147,7 @@ def run_all(options: TouchReproduceOptions, cache_dir: Path | None) -> dict[str,
 
                 def work(settings: TouchSettings = settings, seed: int = seed) -> Line:
                     with build_touch_box(options.task, settings, options.robot, cache_dir=cache_dir) as parts:
-                        return loop.run(*parts, seed=seed).as_dict()
+                        return loop.run_to_end(*parts, seed=seed).as_dict()
 
                 if store.measure(asked, work):
                     sys.stderr.write(f"rumi: seed {seed}, {name}\n")

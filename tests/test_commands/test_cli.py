@@ -318,6 +318,28 @@ def test_beliefs_are_held_against_the_truth(capsys):
     assert "Expected a task that rummages" in capsys.readouterr().err
 
 
+@pytest.mark.sim
+def test_ctrl_c_ends_a_calibration_and_leaves_out_the_episode_that_it_cut_off(monkeypatch, capsys):
+    asked = ["calibrate", "mug-0", "--seed", "7", "--steps", "1", *SMALL, "--out", "c.jsonl", "--episodes"]
+    assert main([*asked, "1"]) == exit_codes.DONE
+    first = Path("c.jsonl").read_text()
+
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("rumi.tasks.rummage.simulated.SimTask.step", interrupt)
+        assert main([*asked, "3"]) == exit_codes.INTERRUPTED
+    assert capsys.readouterr().err.endswith("rumi: interrupted\n")
+    assert Path("c.jsonl").read_text() == first
+    # a line of before that says so is no episode
+    Path("c.jsonl").write_text(first.replace('"steps"', '"interrupted"', 1))
+    assert main([*asked, "1"]) == exit_codes.DONE
+    assert "1 of 1: seed 7, steps" in capsys.readouterr().err
+    assert main([*asked, "1"]) == exit_codes.DONE
+    assert "seed 7" not in capsys.readouterr().err
+
+
 def test_a_report_of_calibration_by_hand():
     step = {"contacts": 1, "p_right": 0.96, "right": True, "place": 0.4, "turn": 0.92, "both": 0.3, "ranks": {"x": 0.5}}
     lines = [

@@ -49,6 +49,23 @@ def test_a_policy_is_ranked_beside_those_before(tmp_path, capsys, monkeypatch):
     assert scores[0] == before and scores[1].policy == "ahead.py" and 1 <= scores[1].actions <= 3
 
 
+@pytest.mark.sim
+@pytest.mark.usefixtures("at_home")
+def test_ctrl_c_ends_it_without_a_score(tmp_path, capsys, monkeypatch):
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    short = {"steps": 3, "initialise.particles": 12, "initialise.starts": 40, "initialise.polished": 12}
+    monkeypatch.setattr(settings, "preset", lambda name, **asked: preset(name, **asked, **short))
+    monkeypatch.setattr("rumi.tasks.rummage.simulated.SimTask.step", interrupt)
+    policy, board = tmp_path / "ahead.py", tmp_path / "board.jsonl"
+    policy.write_text(AHEAD)
+    asked = ["leaderboard", str(policy), "--task", "mug-0", "--seeds", "3", "2", "--board", str(board)]
+    assert main(asked) == exit_codes.INTERRUPTED
+    said = capsys.readouterr()
+    assert said.err.endswith("rumi: interrupted\n") and "seed 3" not in said.err and not board.exists()
+
+
 def test_the_order_is_right_then_wrong_then_actions():
     scores = [made_up("a", 7, 0, 5), made_up("b", 8, 2, 5), made_up("c", 8, 1, 9), made_up("d", 8, 1, 5)]
     assert [line[0] for line in table(scores).splitlines()[1:]] == ["d", "c", "b", "a"]

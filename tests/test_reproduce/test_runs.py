@@ -33,7 +33,7 @@ def test_a_belief_without_weight_is_a_result(monkeypatch, closed):
         on_step(replace(first, nll=30.0))
         raise DegenerateBeliefError("no weight left")
 
-    monkeypatch.setattr(runs.loop, "run", lost)
+    monkeypatch.setattr(runs.loop, "run_to_end", lost)
     found = runs.carry_out(preset(task="mug-0"), Path("cache"))
     figures = found["figures"]
     assert (figures["stopped_by"], figures["right"], figures["steps"]) == ("degenerate", False, 1)
@@ -45,8 +45,10 @@ def test_a_belief_without_weight_is_a_result(monkeypatch, closed):
 
 
 def test_an_interrupted_run_is_none(monkeypatch, closed):
-    result = replace(make_up(1).result, stopped_by="interrupted")
-    monkeypatch.setattr(runs.loop, "run", lambda *_, **__: result)
+    def interrupted(task, agent, *, seed, steps, on_step):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runs.loop, "run_to_end", interrupted)
     with pytest.raises(KeyboardInterrupt):
         runs.carry_out(preset(task="mug-0"), Path("cache"))
     assert closed == [True]

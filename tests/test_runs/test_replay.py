@@ -15,6 +15,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.cli import main
 from rumi.commands.replay_summary import changes
 from rumi.runs.folder import load_run
+from rumi.runs.progress import Progress
 from rumi.runs.replay import digest
 
 pytest.importorskip("h5py")
@@ -70,6 +71,20 @@ def test_a_replay_gives_the_recorded_beliefs_bit_for_bit(recorded, capsys):
     assert again.result.relies_on.split("; ")[0] == live.result.relies_on.split("; ")[0] == "motion: measured"
     plain = [replace(one.result, timings_s={}, relies_on="") for one in (again, live)]
     assert plain[0] == plain[1]
+
+
+@pytest.mark.sim
+def test_ctrl_c_ends_a_replay_which_says_so(recorded, monkeypatch, capsys):
+    def interrupt(self, step):
+        if step.step == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Progress, "__call__", interrupt)
+    code = main(["replay", str(recorded), "--stop.rule", "never", "--out", "again", "--figures"])
+    assert code == exit_codes.INTERRUPTED
+    said = capsys.readouterr().out
+    assert f"readings 2 of {len(load_run(recorded).steps)}: interrupted before the log's end" in said
+    assert len(load_run("again").steps) == 2 and not Path("again/figures").exists()
 
 
 @pytest.mark.sim

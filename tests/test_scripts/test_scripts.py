@@ -2,7 +2,10 @@
 
 import importlib.util
 import runpy
+import signal
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -52,6 +55,59 @@ def test_a_script_ends_as_the_command_does(error, code, message, capsys):
 
 
 @pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (ImportError("cannot load module more than once"), exit_codes.INTERRUPTED, "rumi: interrupted\n"),
+        (RecursionError("too deep"), exit_codes.INTERRUPTED, "rumi: interrupted\n"),
+        (ValueError("half of an array"), exit_codes.INTERRUPTED, "rumi: interrupted\n"),
+        (OSError("no space left"), exit_codes.BAD_INPUT, "rumi: no space left\n"),
+        (UsageError("no such seeds"), exit_codes.BAD_INPUT, "rumi: no such seeds\n"),
+        (None, exit_codes.DONE, ""),
+    ],
+)
+def test_an_error_that_ctrl_c_within_an_import_becomes_is_an_interrupt(error, code, message, capsys):
+    before = signal.getsignal(signal.SIGINT)
+
+    def work():
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+            pytest.fail("Ctrl-C raised nothing")
+        if error is not None:
+            raise error
+
+    with pytest.raises(SystemExit) as end:
+        cli.script(work)
+    assert end.value.code == code
+    assert capsys.readouterr().err.startswith(message)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_error_without_ctrl_c_is_no_interrupt():
+    def work():
+        raise RecursionError("too deep")
+
+    with pytest.raises(RecursionError, match="too deep"):
+        cli.script(work)
+
+
+@pytest.mark.parametrize("handler", [signal.SIG_IGN, lambda number, frame: None])
+def test_a_handler_of_the_callers_own_stays(handler):
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        with pytest.raises(SystemExit) as end:
+            cli.script(lambda: signal.raise_signal(signal.SIGINT))
+        assert end.value.code == exit_codes.DONE and signal.getsignal(signal.SIGINT) is handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_command_may_be_carried_out_in_another_thread():
+    with ThreadPoolExecutor(1) as pool:
+        end = pool.submit(cli.script, lambda: None).exception()
+    assert isinstance(end, SystemExit) and end.code == exit_codes.DONE
+
+
+@pytest.mark.parametrize(
     ("name", "arguments", "message"),
     [
         ("fused_table", ["run", "--seeds", "x"], "rumi: Expected seeds such as 0-9"),
@@ -76,6 +132,13 @@ def test_every_script_ends_so(path):
     code, main, ends = path.read_text().partition('if __name__ == "__main__":\n')
     without_rumi = "\nimport rumi" not in code and "\nfrom rumi" not in code  # for another process
     assert not main or "    script(" in ends or without_rumi
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "scripts").rglob("*.py")), ids=str)
+def test_no_script_keeps_a_run_that_ctrl_c_cut_off(path):
+    """What `rumi.loop.run` gives may be cut off; `run_to_end` raises."""
+    code = path.read_text()
+    assert "loop.run(" not in code and "from rumi.loop import run\n" not in code
 
 
 def test_the_lines_of_the_readme_run(monkeypatch, capsys):

@@ -52,7 +52,7 @@ def test_readings_of_a_seed_are_recorded_once(tmp_path, monkeypatch):
 
     monkeypatch.setattr(trajectory_widths, "EPISODES", tmp_path / "runs" / "readings")
     monkeypatch.setattr(trajectory_widths, "build", lambda settings, cache_dir: nullcontext((None, None)))
-    monkeypatch.setattr(trajectory_widths, "run", run)
+    monkeypatch.setattr(trajectory_widths, "run_to_end", run)
     for _ in range(2):
         record(Record(seeds="3-4"))
     assert begun == [3, 4]

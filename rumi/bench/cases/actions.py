@@ -118,19 +118,19 @@ def actions(setup: Setup, name: str, most: int) -> Case:
     settings = replace(entry.preset(entry.presets[0]), seed=_SEED)
     with entry.build(settings, cache_dir=setup.cache_dir) as parts:
         kept, agent = _Kept(parts.task), parts.agent
-        loop.run(kept, agent, seed=_SEED, steps=setup.size(most, 2))
+        loop.run_to_end(kept, agent, seed=_SEED, steps=setup.size(most, 2))
     task, steps = Replay(kept.results, kept.outcome), len(kept.results) - 1
 
     def run() -> int:
         records: list[Any] = []
-        loop.run(task, agent, seed=_SEED, steps=steps, on_step=records.append)
+        loop.run_to_end(task, agent, seed=_SEED, steps=steps, on_step=records.append)
         return len(records) - 1
 
     watched = [_Timed(agent) for _ in range(setup.size(3, 1))]
     stages, touches = list[dict[str, float]](), list[list[float]]()
     for timed in watched:
         records: list[Any] = []
-        loop.run(task, timed, seed=_SEED, steps=steps, on_step=records.append)
+        loop.run_to_end(task, timed, seed=_SEED, steps=steps, on_step=records.append)
         stages.append(_medians([getattr(record, "timings_s", {}) for record in records[1:]]))
         touches.append([record.timings_s.get("belief", 0.0) for record in records[1:] if _touched(record)])
     least = {stage: min(one[stage] for one in stages) for stage in stages[0]}
@@ -184,7 +184,7 @@ def run_mug(setup: Setup) -> Case:
         steps = 2
     with build(settings, cache_dir=setup.cache_dir) as parts:
         kept, agent = _Kept(parts.task), parts.agent
-        loop.run(kept, agent, seed=_SEED, steps=steps)
+        loop.run_to_end(kept, agent, seed=_SEED, steps=steps)
     task, count = (
         Replay([StepResult(StepResult.of(told).reading, None) for told in kept.results]),
         len(kept.results) - 1,
@@ -192,7 +192,7 @@ def run_mug(setup: Setup) -> Case:
 
     def run() -> tuple[Tensor, int]:
         records: list[StepRecord] = []
-        loop.run(task, agent, seed=_SEED, steps=count, on_step=records.append)
+        loop.run_to_end(task, agent, seed=_SEED, steps=count, on_step=records.append)
         return records[-1].belief.mode()[:3, 3], len(records) - 1
 
     return Case(
