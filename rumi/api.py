@@ -9,6 +9,7 @@ import torch
 
 from rumi import loop
 from rumi.agent import Agent, Parts
+from rumi.errors import UsageError
 from rumi.runs.folder import RunRecorder, load_run
 from rumi.runs.progress import announce, both
 from rumi.runs.recorded import RunLog
@@ -30,12 +31,16 @@ def build(settings: Any, *, cache_dir: Path | None = None) -> Parts[Any, Any]:  
         cache_dir: folder that keeps what takes seconds to work out; None keeps nothing.
 
     Raises:
-        UsageError: there is no such task, or a setting does not suit it.
+        UsageError: these are no settings, there is no such task, or a setting does not suit it.
     """
     if isinstance(settings, Settings):
         entry = TASKS[settings.task]
     else:
-        entry = next(TASKS[name] for name in TASKS if isinstance(settings, TASKS[name].settings))
+        fits = (TASKS[name] for name in TASKS if isinstance(settings, TASKS[name].settings))
+        found = next(fits, None)
+        if found is None:
+            raise UsageError(f"Expected settings, as rumi.preset(task='mug-0') gives, got {settings!r}")
+        entry = found
     entry.check(settings)
     parts = entry.build(settings, cache_dir=cache_dir)
     about, agent = entry.as_dict(settings), parts.agent

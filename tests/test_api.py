@@ -56,3 +56,9 @@ def test_the_names_are_there_and_cost_nothing_before_they_are_used():
         rumi.rummage  # noqa: B018
     code = "import sys, rumi; sys.exit(any(name in sys.modules for name in ('torch', 'numpy', 'numba')))"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+@pytest.mark.parametrize("settings", ["mug-0", None, {"task": "mug-0"}])
+def test_what_is_no_settings_is_refused_with_the_way_to_them(settings):
+    with pytest.raises(UsageError, match=r"Expected settings, as rumi.preset\(task='mug-0'\) gives, got"):
+        rumi.build(settings)
