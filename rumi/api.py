@@ -15,6 +15,7 @@ from rumi.runs.progress import announce, both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import Replayed
 from rumi.runs.replay import replay as take_in
+from rumi.seeding import check_seed, check_steps
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.registry import TASKS, entry_of, entry_of_record
 from rumi.tasks.rummage.agent import Rummager
@@ -75,8 +76,10 @@ def run(
         the agent's `result`; of one that finds a pose, `pose` and `belief` hold it, `why_not` says why it is not sure.
 
     Raises:
-        UsageError: the folder cannot be written or holds a run.
+        UsageError: the seed or the number of steps cannot be, or the folder cannot be written or holds a run.
     """
+    check_seed(seed)
+    check_steps(steps)
     announce(agent)
     task = _beside(task, agent)
     if folder is None:

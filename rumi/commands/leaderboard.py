@@ -48,9 +48,11 @@ def leaderboard(arguments: Sequence[str]) -> int:
     optional("gymnasium", "A leader board")
     from rumi.api import build
     from rumi.environments.leaderboard import OWN, load_policy, read_board, score, table
+    from rumi.seeding import check_seed
     from rumi.tasks.rummage.scenes import find_task
     from rumi.tasks.rummage.settings import preset
 
+    check_seed(first + count - 1, "the last of the seeds")
     before = [] if options.board is None else read_board(options.board)
     path = None if options.policy == OWN else Path(options.policy)
     if path is not None:
