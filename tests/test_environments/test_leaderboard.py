@@ -68,3 +68,38 @@ def test_what_is_no_policy_is_refused(tmp_path, capsys):
     (tmp_path / "board").write_text("{}\n")
     with pytest.raises(UsageError, match="a score a line"):
         read_board(tmp_path / "board")
+
+
+@pytest.mark.parametrize("board", ["folder", "file/board.jsonl"])
+def test_a_board_that_cannot_be_written_is_refused_before_anything_is_built(board, tmp_path, capsys, monkeypatch):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr("rumi.api.build", None)
+    assert main(["leaderboard", "rumi", "--board", str(tmp_path / board)]) == exit_codes.BAD_INPUT
+    assert f"Cannot write {tmp_path / board}" in capsys.readouterr().err
+
+
+class _Task:
+    """A task whose runs are not carried out."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
+    task = agent = None
+
+
+def test_the_folder_of_a_board_is_made_and_the_table_is_shown_before_it_is_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("rumi.api.build", lambda settings, **kept: _Task())
+    new = made_up("rumi", 7, 0, 5)
+    monkeypatch.setattr("rumi.environments.leaderboard.score", lambda *given, **asked: new)
+    board = tmp_path / "new" / "board.jsonl"
+    assert main(["leaderboard", "rumi", "--board", str(board)]) == exit_codes.DONE
+    assert read_board(board) == [new]
+    monkeypatch.setattr("rumi.commands.leaderboard.append_line", lambda *given: 1 / 0)
+    capsys.readouterr()
+    with pytest.raises(ZeroDivisionError):
+        main(["leaderboard", "rumi", "--board", str(board)])
+    assert "7 of 10" in capsys.readouterr().out
