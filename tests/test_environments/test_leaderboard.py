@@ -1,4 +1,5 @@
 import json
+from types import SimpleNamespace
 
 import pytest
 
@@ -7,7 +8,7 @@ pytest.importorskip("gymnasium")
 
 from rumi import exit_codes
 from rumi.cli import main
-from rumi.environments.leaderboard import Score, read_board, table
+from rumi.environments.leaderboard import Player, Score, load_policy, read_board, table
 from rumi.errors import UsageError
 from rumi.tasks.rummage import settings
 from rumi.tasks.rummage.settings import preset
@@ -77,6 +78,41 @@ def test_a_board_that_cannot_be_written_is_refused_before_anything_is_built(boar
     monkeypatch.setattr("rumi.api.build", None)
     assert main(["leaderboard", "rumi", "--board", str(tmp_path / board)]) == exit_codes.BAD_INPUT
     assert f"Cannot write {tmp_path / board}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def act(observation:\n", "SyntaxError: "),
+        ("import nothing_of_this_name\ndef act(o): return o\n", "ModuleNotFoundError: No module named"),
+        ("1 / 0\n", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_file_that_cannot_be_loaded_is_named(text, words, tmp_path, capsys):
+    policy = tmp_path / "mine.py"
+    policy.write_text(text)
+    assert main(["leaderboard", str(policy)]) == exit_codes.BAD_INPUT
+    said = capsys.readouterr().err
+    assert str(policy) in said and words in said and "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def act(observation): return None\n", "NoneType"),
+        ("def act(observation): return 'abc'\n", "TypeError: "),
+        ("def act(): return [0.0, 0.0, 0.0]\n", "TypeError: act() takes 0 positional arguments"),
+        ("def act(observation): return observation['poze']\n", "KeyError: 'poze'"),
+    ],
+)
+def test_a_policy_that_gives_no_control_is_named(no_shape_check, text, words, tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(text)
+    policy, _ = load_policy(file)
+    state = SimpleNamespace(record=SimpleNamespace(reading=None))
+    with pytest.raises(UsageError) as refused:
+        Player(SimpleNamespace(), policy, lambda result, state: {}).act(state)
+    assert str(file) in str(refused.value) and words in str(refused.value)
 
 
 class _Task:
