@@ -10,7 +10,7 @@ import torch
 from rumi import loop
 from rumi.agent import Agent, Parts
 from rumi.errors import UsageError
-from rumi.runs.folder import RunRecorder, load_run
+from rumi.runs.folder import RunRecorder, load_run, make_folder
 from rumi.runs.progress import announce, both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import Replayed
@@ -128,7 +128,9 @@ def plot(folder: Path | str, out: Path | str | None = None, steps: Sequence[int]
         steps: scenes to draw; by default the telling ones.
 
     Raises:
-        UsageError: it is no run's folder, or matplotlib is missing.
+        UsageError: it is no run's folder, the figures' folder cannot be written, or matplotlib is missing.
     """
     read = load_run(folder)
-    return list(entry_of(read).draw(read, Path(out) if out is not None else read.folder / "figures", steps))
+    drawn = Path(out) if out is not None else read.folder / "figures"
+    make_folder(drawn)
+    return list(entry_of(read).draw(read, drawn, steps))

@@ -15,6 +15,9 @@ import numpy as np
 import pytest
 import torch
 
+import rumi
+from rumi import exit_codes
+from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs import folder as folder_module
 from rumi.runs.files import new_file
@@ -363,3 +366,12 @@ def test_steps_that_are_no_text_do_not_damage_the_trace(tmp_path, run):
     folder = record(tmp_path / "run", run)
     (folder / "steps.jsonl").write_bytes(b"\xff\xfe\n")
     assert len(load_run(folder).steps) == len(run.steps)
+
+
+def test_figures_are_refused_a_folder_that_is_a_file(tmp_path, run, capsys):
+    folder = record(tmp_path / "run", run)
+    (tmp_path / "file").write_text("in the way")
+    assert main(["plot", str(folder), "--out", str(tmp_path / "file")]) == exit_codes.BAD_INPUT
+    assert f"Cannot write to the folder {tmp_path / 'file'}" in capsys.readouterr().err
+    with pytest.raises(UsageError, match="Cannot write to the folder"):
+        rumi.plot(folder, tmp_path / "file")
