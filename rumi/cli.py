@@ -148,6 +148,17 @@ def _guarded(work: Callable[[], int]) -> int:
         if os.environ.get("RUMI_DEBUG"):
             raise
         return _refuse(error)
+    except (MemoryError, RuntimeError) as error:
+        if os.environ.get("RUMI_DEBUG") or not _is_of_memory(error):
+            raise
+        said = f" ({error})" if str(error) else ""
+        return _refuse(UsageError(f"This needs more memory than there is: ask for fewer particles or samples{said}"))
+
+
+def _is_of_memory(error: Exception) -> bool:
+    """Whether an error is of memory that was asked for and is not there, by Python, by torch on a CPU or on a GPU."""
+    said = str(error).lower()
+    return isinstance(error, MemoryError) or "can't allocate memory" in said or "out of memory" in said
 
 
 def _refuse(error: Exception) -> int:

@@ -217,6 +217,37 @@ def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):
         main(["run", "mug-0"])
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        MemoryError("Unable to allocate 7.45 GiB for an array"),
+        RuntimeError("[enforce fail at alloc_cpu.cpp:118] DefaultCPUAllocator: can't allocate memory: you tried to"),
+        RuntimeError("CUDA out of memory. Tried to allocate 20.00 GiB"),
+    ],
+)
+def test_too_little_memory_is_bad_input(error, monkeypatch, capsys):
+    def fail(arguments):
+        raise error
+
+    monkeypatch.setattr("rumi.commands.run.run", fail)
+    assert main(["run", "mug-0"]) == exit_codes.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "rumi: This needs more memory than there is: ask for fewer" in said and "Traceback" not in said
+    monkeypatch.setenv("RUMI_DEBUG", "1")
+    with pytest.raises(type(error)):
+        main(["run", "mug-0"])
+
+
+def test_other_errors_of_a_run_keep_their_traceback(monkeypatch):
+    def fail(arguments):
+        raise RuntimeError("expected scalar type Float but found Double")
+
+    monkeypatch.setattr("rumi.commands.run.run", fail)
+    with pytest.raises(RuntimeError, match="scalar type"):
+        main(["run", "mug-0"])
+
+
 def test_cache_folder(monkeypatch):
     monkeypatch.setenv("RUMI_CACHE", "/x")
     assert cache_folder() == Path("/x")
