@@ -9,11 +9,13 @@ import torch
 
 from rumi import loop
 from rumi.agent import Agent, Parts
-from rumi.runs.folder import RunRecorder, load_run
+from rumi.errors import UsageError
+from rumi.runs.folder import RunRecorder, load_run, make_folder
 from rumi.runs.progress import announce, both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import Replayed
 from rumi.runs.replay import replay as take_in
+from rumi.seeding import check_seed, check_steps
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.registry import TASKS, entry_of, entry_of_record
 from rumi.tasks.rummage.agent import Rummager
@@ -30,12 +32,16 @@ def build(settings: Any, *, cache_dir: Path | None = None) -> Parts[Any, Any]:  
         cache_dir: folder that keeps what takes seconds to work out; None keeps nothing.
 
     Raises:
-        UsageError: there is no such task, or a setting does not suit it.
+        UsageError: these are no settings, there is no such task, or a setting does not suit it.
     """
     if isinstance(settings, Settings):
         entry = TASKS[settings.task]
     else:
-        entry = next(TASKS[name] for name in TASKS if isinstance(settings, TASKS[name].settings))
+        fits = (TASKS[name] for name in TASKS if isinstance(settings, TASKS[name].settings))
+        found = next(fits, None)
+        if found is None:
+            raise UsageError(f"Expected settings, as rumi.preset(task='mug-0') gives, got {settings!r}")
+        entry = found
     entry.check(settings)
     parts = entry.build(settings, cache_dir=cache_dir)
     about, agent = entry.as_dict(settings), parts.agent
@@ -70,8 +76,10 @@ def run(
         the agent's `result`; of one that finds a pose, `pose` and `belief` hold it, `why_not` says why it is not sure.
 
     Raises:
-        UsageError: the folder cannot be written or holds a run.
+        UsageError: the seed or the number of steps cannot be, or the folder cannot be written or holds a run.
     """
+    check_seed(seed)
+    check_steps(steps)
     announce(agent)
     task = _beside(task, agent)
     if folder is None:
@@ -120,7 +128,9 @@ def plot(folder: Path | str, out: Path | str | None = None, steps: Sequence[int]
         steps: scenes to draw; by default the telling ones.
 
     Raises:
-        UsageError: it is no run's folder, or matplotlib is missing.
+        UsageError: it is no run's folder, the figures' folder cannot be written, or matplotlib is missing.
     """
     read = load_run(folder)
-    return list(entry_of(read).draw(read, Path(out) if out is not None else read.folder / "figures", steps))
+    drawn = Path(out) if out is not None else read.folder / "figures"
+    make_folder(drawn)
+    return list(entry_of(read).draw(read, drawn, steps))

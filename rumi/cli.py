@@ -153,9 +153,10 @@ def _guarded(work: Callable[[], int]) -> int:
             # a library that Ctrl-C finds half loaded fails by an error of any kind; a full disk after it is still said
             if noted and not isinstance(error, (UsageError, DegenerateBeliefError, OSError)):
                 return _interrupted()
-            if not isinstance(error, (UsageError, DegenerateBeliefError, ValueError, OSError, ModuleNotFoundError)):
+            told = _of_memory(error) or error
+            if not isinstance(told, (UsageError, DegenerateBeliefError, ValueError, OSError, ModuleNotFoundError)):
                 raise
-            return _refuse(error)
+            return _refuse(told)
 
 
 @contextmanager
@@ -182,6 +183,19 @@ def _interrupts() -> Iterator[list[int]]:
 def _interrupted() -> int:
     sys.stderr.write("rumi: interrupted\n")
     return INTERRUPTED
+
+
+def _of_memory(error: Exception) -> UsageError | None:
+    """What is said of memory that was asked for and is not there, by Python, by torch on a CPU or on a GPU."""
+    said = str(error)
+    of_torch = isinstance(error, RuntimeError) and any(
+        part in said.lower() for part in ("can't allocate memory", "out of memory")
+    )
+    if not isinstance(error, MemoryError) and not of_torch:
+        return None
+    return UsageError(
+        f"This needs more memory than there is: ask for fewer particles or samples{said and f' ({said})'}"
+    )
 
 
 def _refuse(error: Exception) -> int:

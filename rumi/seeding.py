@@ -6,8 +6,39 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from rumi.errors import UsageError
+
 Generators = torch.Generator | Sequence[torch.Generator]
 """One generator for a whole batch, or one for each row of its first axis."""
+
+
+def check_seed(seed: int, name: str = "seed") -> None:
+    """Refuse a seed that is none.
+
+    Args:
+        seed: of randomness.
+        name: to call it by.
+
+    Raises:
+        UsageError: it is no whole number, below 0, or of more bits than generators take.
+    """
+    if not _is_whole(seed) or not 0 <= seed < 2**63:
+        raise UsageError(f"Expected {name} to be 0 or more, below 2**63, got {seed!r}")
+
+
+def check_steps(steps: int | None) -> None:
+    """Refuse a greatest number of actions that is none.
+
+    Raises:
+        UsageError: it is neither None nor a whole number of 0 or more.
+    """
+    if steps is not None and (not _is_whole(steps) or steps < 0):
+        raise UsageError(f"Expected steps to be 0 or more, or None, got {steps!r}")
+
+
+def _is_whole(value: object) -> bool:
+    """Whether a value is an integer of Python, or of a library that can stand for one."""
+    return hasattr(type(value), "__index__")
 
 
 def generator(seed: int, device: torch.device | str = "cpu") -> torch.Generator:

@@ -38,7 +38,7 @@ def posed_distance(
         points_w: (*b, M, 3), metres; one that is not finite counts as very far from the object.
 
     Raises:
-        ValueError: if a shape does not fit.
+        ValueError: if a shape does not fit, or points are of another float type than poses.
     """
     _check(world_T_object, points_w)
     world_T_object, points_w = about_first(world_T_object, points_w)
@@ -56,7 +56,7 @@ def posed_query(sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: 
         points_w: (*b, M, 3), metres; one that is not finite counts as very far from the object.
 
     Raises:
-        ValueError: if a shape does not fit.
+        ValueError: if a shape does not fit, or points are of another float type than poses.
     """
     _check(world_T_object, points_w)
     world_T_object, points_w = about_first(world_T_object, points_w)
@@ -200,3 +200,8 @@ def common_height(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor 
 def _check(world_T_object: Tensor, points_w: Tensor) -> None:
     check_shape("world_T_object", world_T_object, "(*b, N, 4, 4)")
     check_shape("points_w", points_w, "(*b, M, 3)")
+    if points_w.dtype != world_T_object.dtype and points_w.numel():
+        wanted = world_T_object.dtype
+        raise ValueError(
+            f"Expected points of {wanted} as the poses are, got {points_w.dtype}: use .to(dtype={wanted}) on either"
+        )

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sdf import backend, compiled
 from sdf.base import SDF
-from sdf.check import is_eager
+from sdf.check import check_shape, is_eager
 from sdf.grid_sdf import GridSDF
 from sdf.grid_sdf import takes as grid_takes
 from sdf.numbers import Numbers, Range
@@ -100,7 +100,13 @@ class Discrepancy(Numbers):
 
     @full_precision
     def forward(self, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation) -> Float[Tensor, "*b N"]:
-        """Discrepancy of each pose; points and poses are in the same frame. No points give 0."""
+        """Discrepancy of each pose; points and poses are in the same frame. No points give 0.
+
+        Raises:
+            ValueError: a shape does not fit, or points are of another float type than the poses.
+        """
+        check_shape("frame_T_object", frame_T_object, "(*b, N, 4, 4)")
+        check_shape("points", observation.points, "(*b, M, 3)")
         tensors = (frame_T_object, observation.points, *self.parameters(), *self.buffers())
         return backend.dispatch("discrepancy", *tensors)(self, frame_T_object, observation)
 

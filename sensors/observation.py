@@ -167,6 +167,8 @@ def merge(old: Observation, new: Observation, spacing: Float[Tensor, "3"]) -> tu
     Returns:
         the merged observation and the part of `new` that was added (padding removed where every scene allows).
     """
+    check_shape("points", old.points, "(*b, M, 3)")
+    check_shape("points", new.points, "(*b, M, 3)")
     version = backend.dispatch("merge", old.points, new.points, spacing)
     added = compact(replace(new, valid=version(old, new, spacing)))
     return compact(concatenate([old, added])), added

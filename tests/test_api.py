@@ -56,3 +56,27 @@ def test_the_names_are_there_and_cost_nothing_before_they_are_used():
         rumi.rummage  # noqa: B018
     code = "import sys, rumi; sys.exit(any(name in sys.modules for name in ('torch', 'numpy', 'numba')))"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+@pytest.mark.parametrize("settings", ["mug-0", None, {"task": "mug-0"}])
+def test_what_is_no_settings_is_refused_with_the_way_to_them(settings):
+    with pytest.raises(UsageError, match=r"Expected settings, as rumi.preset\(task='mug-0'\) gives, got"):
+        rumi.build(settings)
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"seed": -1}, "Expected seed to be 0 or more, below .*, got -1"),
+        ({"seed": 2**63}, "Expected seed to be 0 or more, below .*, got 9223372036854775808"),
+        ({"seed": "a"}, "Expected seed to be 0 or more, below .*, got 'a'"),
+        ({"seed": 1.5}, "Expected seed to be 0 or more, below .*, got 1.5"),
+        ({"seed": 0, "steps": -1}, "Expected steps to be 0 or more, or None, got -1"),
+        ({"seed": 0, "steps": 1.5}, "Expected steps to be 0 or more, or None, got 1.5"),
+        ({"seed": 0, "steps": "3"}, "Expected steps to be 0 or more, or None, got '3'"),
+    ],
+)
+def test_seeds_and_steps_that_cannot_be_are_refused_before_the_run(no_shape_check, asked, message, tmp_path):
+    with rumi.build(SMALL) as (task, agent), pytest.raises(UsageError, match=message):
+        rumi.run(task, agent, folder=tmp_path / "run", **asked)
+    assert not (tmp_path / "run").exists()

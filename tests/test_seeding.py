@@ -2,6 +2,8 @@ import pytest
 import torch
 
 from rumi import seeding
+from rumi.errors import UsageError
+from rumi.seeding import check_seed, generator
 
 
 def test_same_seed_same_bytes():
@@ -62,3 +64,14 @@ def test_the_global_generator_is_not_touched():
     state = torch.random.get_rng_state()
     seeding.normal((5,), generator=seeding.split(0, "x"))
     assert torch.equal(state, torch.random.get_rng_state())
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 1.0, "1", None])
+def test_a_seed_that_is_none_is_refused(no_shape_check, seed):
+    with pytest.raises(UsageError, match=r"Expected --seed to be 0 or more, below 2\*\*63, got"):
+        check_seed(seed, "--seed")
+
+
+def test_the_greatest_seed_makes_a_generator():
+    check_seed(2**63 - 1)
+    assert generator(2**63 - 1).initial_seed() == 2**63 - 1

@@ -1,6 +1,5 @@
 """The command `rumi leaderboard`: how a policy does on a task, beside those that were tried before."""
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import tyro
 from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
+from rumi.runs.jsonlines import append_line, check_writable
 from rumi.runs.progress import say
 from sdf.extras import optional
 
@@ -48,10 +48,14 @@ def leaderboard(arguments: Sequence[str]) -> int:
     optional("gymnasium", "A leader board")
     from rumi.api import build
     from rumi.environments.leaderboard import OWN, load_policy, read_board, score, table
+    from rumi.seeding import check_seed
     from rumi.tasks.rummage.scenes import find_task
     from rumi.tasks.rummage.settings import preset
 
+    check_seed(first + count - 1, "the last of the seeds")
     before = [] if options.board is None else read_board(options.board)
+    if options.board is not None:
+        check_writable(options.board)
     path = None if options.policy == OWN else Path(options.policy)
     if path is not None:
         load_policy(path)  # what is none is refused before anything is built
@@ -68,9 +72,8 @@ def leaderboard(arguments: Sequence[str]) -> int:
             seeds=range(first, first + count),
             on_run=lambda seed, result: say(f"seed {seed}: {result.stopped_by}, right {result.right}"),
         )
-    if options.board is not None:
-        with options.board.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(new.line()) + "\n")
     same = [one for one in before if (one.task, one.preset, one.seeds) == (new.task, new.preset, new.seeds)]
     sys.stdout.write(f"{new.task}, seeds {first} to {first + count - 1}, preset {new.preset}\n{table([*same, new])}")
+    if options.board is not None:
+        append_line(options.board, new.line())
     return DONE

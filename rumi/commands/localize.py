@@ -77,10 +77,10 @@ def localize(arguments: Sequence[str]) -> int:
         raise UsageError(f"Expected --outlier, a share of the touches, of 0 or more and below 1, got {options.outlier}")
     if options.starts < 1:
         raise UsageError(f"Expected --starts of 1 or more, got {options.starts}")
-    if not 0 <= options.seed < 2**63:
-        raise UsageError(f"Expected --seed of 0 or more, below 2**63, got {options.seed}")
     from rumi.registration.contact_terms import NOISE_M
+    from rumi.seeding import check_seed
 
+    check_seed(options.seed, "--seed")
     if options.noise is not None and not NOISE_M[0] <= options.noise <= NOISE_M[1]:
         raise UsageError(
             f"Expected --noise above 0 m, from {NOISE_M[0]:g} to {NOISE_M[1]:g}, got {options.noise}: the distance "

@@ -29,10 +29,11 @@ class PlotOptions:
 def plot(arguments: Sequence[str]) -> int:
     """`rumi plot`: 0 if the figures were drawn, 2 for bad input."""
     options = tyro.cli(PlotOptions, prog="rumi plot", args=arguments)
-    from rumi.runs.folder import load_run
+    from rumi.runs.folder import load_run, make_folder
     from rumi.tasks.registry import entry_of
 
-    run = load_run(options.run)
-    for path in entry_of(run).draw(run, options.out or options.run / "figures", options.steps):
+    run, out = load_run(options.run), options.out or options.run / "figures"
+    make_folder(out)
+    for path in entry_of(run).draw(run, out, options.steps):
         sys.stdout.write(f"{path}\n")
     return DONE

@@ -4,7 +4,8 @@ import hashlib
 import importlib.util
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import median
@@ -90,7 +91,8 @@ class Player:
             decided = self.agent.act(state)
             self.taken.append(time.process_time() - start)
             return decided
-        control = torch.as_tensor(self.policy.act(seen), dtype=torch.float32).detach().cpu()
+        with blamed(getattr(self.policy, "__file__", "the policy")):
+            control = torch.as_tensor(self.policy.act(seen), dtype=torch.float32).detach().cpu()
         self.taken.append(time.process_time() - start)
         size = len(self.agent.tool.scale)
         if tuple(control.shape) != (size,) or not bool(torch.isfinite(control).all()):
@@ -99,6 +101,18 @@ class Player:
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  (the rest is the agent's)
         return getattr(self.agent, name)
+
+
+@contextmanager
+def blamed(file: Path | str) -> Iterator[None]:
+    """A policy's own error as one of usage, that names its file, the kind of the error and what it says."""
+    try:
+        yield
+    except Exception as error:  # whatever people write
+        raise UsageError(
+            f"Expected {file} to define act(observation), which gives a control of numbers, got "
+            f"{type(error).__name__}: {error} (RUMI_DEBUG=1 shows where this comes from)"
+        ) from error
 
 
 def load_policy(path: Path) -> tuple[Policy, str]:
@@ -111,7 +125,8 @@ def load_policy(path: Path) -> tuple[Policy, str]:
     if spec is None or spec.loader is None:
         raise UsageError(f"Expected a Python file that defines act(observation), or {OWN!r}, got {path}")
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    with blamed(path):
+        spec.loader.exec_module(module)
     if not callable(getattr(module, "act", None)):
         raise UsageError(f"Expected {path} to define a function act(observation), which gives the control")
     view = getattr(module, "VIEW", "particles")
@@ -154,7 +169,8 @@ def score(
     results = []
     for seed in seeds:
         if path is not None and hasattr(player.policy, "start"):
-            player.policy.start(seed)
+            with blamed(path):
+                player.policy.start(seed)
         result = run_to_end(task, player, seed=seed, steps=agent.steps)
         results.append(result)
         on_run(seed, result)

@@ -103,11 +103,13 @@ class SolidTool:
         Raises:
             UsageError: the mesh cannot be used.
         """
-        from sdf.mesh.mesh import MeshError, load_mesh
+        from sdf.mesh.mesh import MeshError, check_size, load_mesh
         from sdf.mesh.mesh_sdf import MeshSDF
 
         try:
-            made = MeshSDF(load_mesh(Path(file), scale=scale))
+            mesh = load_mesh(Path(file), scale=scale)
+            check_size(mesh, scale)
+            made = MeshSDF(mesh)
         except MeshError as error:
             raise UsageError(str(error)) from error
         return cls([made if tool_T_mesh is None else made.moved(tool_T_mesh)], feels)

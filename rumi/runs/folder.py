@@ -174,9 +174,10 @@ def load_run(folder: Path | str) -> Run:
         actions = 0 if result is None else int(result.steps)
     except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise UsageError(f"{folder / 'result.json'} is damaged: {error}") from error
+    timings = _timings(folder)
     try:
         members = read_trace(folder / "trace.npz")
-        geometry, steps = read_geometry(members), read_steps(members, _timings(folder))
+        geometry, steps = read_geometry(members), read_steps(members, timings)
     except (AttributeError, IndexError, *DAMAGED) as error:
         raise UsageError(f"{folder / 'trace.npz'} is damaged: {error}") from error
     # an interrupt may have caught the recorder at the last step
@@ -305,13 +306,13 @@ def _result(values: Mapping[str, Any]) -> RunResult:
 
 
 def _timings(folder: Path) -> dict[int, dict[str, float]]:
-    """Seconds by stage of each step; they are for people, so that a line cut short is no error."""
+    """Seconds by stage of each step; they are for people, so that a line that has none is no error."""
     found: dict[int, dict[str, float]] = {}
     path = folder / "steps.jsonl"
-    for text in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
-        try:
+    for text in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.is_file() else ():
+        with contextlib.suppress(ValueError):
             values = json.loads(text)
-        except ValueError:
-            break
-        found[values["step"]] = values["timings_s"]
+            step, seconds = (values.get(name) if isinstance(values, dict) else None for name in ("step", "timings_s"))
+            if isinstance(step, int) and isinstance(seconds, dict):
+                found[step] = seconds
     return found

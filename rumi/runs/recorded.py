@@ -49,7 +49,7 @@ class RunLog:
         self.settings = {**self._run.settings, "task": self._run.task}
         about = self.path / "object.json"
         made = json.dumps(self._run.settings.get("made_with", {}))
-        self.texts = {"made_with": made} | ({"object": about.read_text()} if about.is_file() else {})
+        self.texts = {"made_with": made} | ({"object": about.read_text("utf-8", "replace")} if about.is_file() else {})
         self.problems = [] if self._run.ended else ["the run was not finished: what had been written is there"]
         self.streams: dict[str, Any] = {}
 

@@ -182,16 +182,6 @@ def entry_of_record(name: str) -> TaskEntry[Any]:
     return TASKS[FORMER_NAMES.get(name, name)]
 
 
-def check_seed(seed: int) -> None:
-    """Refuse a seed that is none.
-
-    Raises:
-        UsageError: it is below 0.
-    """
-    if seed < 0:
-        raise UsageError(f"Expected seed to be 0 or more, got {seed}")
-
-
 def check_preset(name: str, presets: Sequence[str]) -> None:
     """Refuse a preset that there is not.
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf import backend, compiled
-from sdf.check import check_finite
+from sdf.check import check_finite, check_shape
 from sdf.precision import full_precision
 from sdf.sweep import nearest_on_rectangle, turned
 from sensors.touch.touch_likelihood import TouchNoise, box_face_log_likelihoods
@@ -40,6 +40,9 @@ def rectangle_log_likelihoods(
         noise: of the touches.
         corners: whether corners explain touches.
     """
+    check_shape("poses", poses, "(*b, N, 3)")
+    check_shape("points_w", points_w, "(*b, K, 2)")
+    check_shape("normals_w", normals_w, "(*b, 2)")
     if poses.dim() == 2:
         flat = points_w.reshape(-1, 2), normals_w.expand_as(points_w).reshape(-1, 2)
         version = backend.dispatch("rectangle_touches", poses, *flat, half, *noise.tensors())
@@ -86,6 +89,8 @@ def way_clearances(
     poses: Float[Tensor, "N 3"], half: Float[Tensor, "2"], ways_w: Float[Tensor, "W 2 2"]
 ) -> Float[Tensor, "W N"]:
     """`way_clearance` of each way (start, end) from the rectangle at each pose."""
+    check_shape("poses", poses, "(N, 3)")
+    check_shape("ways_w", ways_w, "(W, 2, 2)")
     version = backend.dispatch("way_clearances", poses, half, ways_w)
     found: Tensor = version(poses, half, ways_w)
     return found

@@ -65,6 +65,7 @@ def swept_points(
     Returns:
         the points and the index of each among `body_points`.
     """
+    _check(world_T_tool, body_points, region)
     attached_T_tool = world_T_tool if attached_T_world is None else attached_T_world @ world_T_tool
     low = torch.floor(region[0] / spacing)
     shape = (torch.ceil(region[1] / spacing) - low).long().clamp_min(1)
@@ -88,9 +89,17 @@ def points_in_box(
     Returns:
         their places in the box's frame, and the index of each among `points`; by instants, then by points.
     """
+    _check(box_T_tool, points, box)
     version = backend.dispatch("points_in_box", box_T_tool, points, box)
     found: tuple[InstantPoints, Tensor] = version(box_T_tool, points, box)
     return found
+
+
+def _check(frame_T_tool: Tensor, points: Tensor, box: Tensor) -> None:
+    """Refuse what a compiled kernel would read beyond."""
+    check_shape("poses of the tool", frame_T_tool, "(K, 4, 4)")
+    check_shape("points of the tool", points, "(n, 3)")
+    check_shape("box", box, "(2, 3)")
 
 
 @backend.register("points_in_box")

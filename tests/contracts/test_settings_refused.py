@@ -144,7 +144,7 @@ REFUSED = [
     Refused(PegSettings, "particles to be 100 or more", one("particles", 1), UsageError),
     Refused(PegSettings, "search_particles to be 300 or more", one("search_particles", 0), UsageError),
     Refused(ObjectSettings, "scale", [{"scale": 0.0, "mesh": "a.obj"}], UsageError),
-    Refused(ObjectSettings, "mass", one("mass_kg", -1.0), UsageError),
+    Refused(ObjectSettings, r"mass_kg in \[0.0001, 1000\]", one("mass_kg", -1.0, 1e-30, 1e30, INF), UsageError),
     Refused(ObjectSettings, "friction", one("friction", INF), UsageError),
     Refused(ObjectSettings, "give --mesh", [{"scale": 0.001}, {"upright": (0.0, 0.0, 90.0)}], UsageError),
     Refused(ObjectSettings, "upright", [{"mesh": "a.obj", "upright": (0.0, NAN, 0.0)}], UsageError),

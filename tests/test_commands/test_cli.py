@@ -166,7 +166,9 @@ def test_figures_are_drawn_and_drawn_again(capsys):
         (["run", "mug-0", "--steps", "41"], "Expected steps to be at most the 40 of mug-0, got 41"),
         (["run", "mug-0", "--method", "poke"], "There is no method 'poke'; there are"),
         (["run", "mug-0", "--seed", "x"], "--seed"),
-        (["run", "mug-0", "--seed", "-1"], "Expected seed to be 0 or more, got -1"),
+        (["run", "mug-0", "--seed", "-1"], "Expected seed to be 0 or more, below 2**63, got -1"),
+        (["run", "mug-0", "--seed", "99999999999999999999"], "Expected seed to be 0 or more, below 2**63, got 9999"),
+        (["run", "peg", "--seed", "9223372036854775808"], "Expected seed to be 0 or more, below 2**63, got 9223"),
         (["run", "mug-0", "--initialise.particles", "0"], "Expected particles to be 1 or more, got 0"),
         (["run", "mug-0", "--planner.mppi.samples", "0"], "samples"),
         (["run", "mug-0", "--out", "file/run"], "Cannot write to the folder file"),
@@ -212,6 +214,37 @@ def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):
     assert message in capsys.readouterr().err
     monkeypatch.setenv("RUMI_DEBUG", "1")
     with pytest.raises(type(error)):
+        main(["run", "mug-0"])
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        MemoryError("Unable to allocate 7.45 GiB for an array"),
+        RuntimeError("[enforce fail at alloc_cpu.cpp:118] DefaultCPUAllocator: can't allocate memory: you tried to"),
+        RuntimeError("CUDA out of memory. Tried to allocate 20.00 GiB"),
+    ],
+)
+def test_too_little_memory_is_bad_input(error, monkeypatch, capsys):
+    def fail(arguments):
+        raise error
+
+    monkeypatch.setattr("rumi.commands.run.run", fail)
+    assert main(["run", "mug-0"]) == exit_codes.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "rumi: This needs more memory than there is: ask for fewer" in said and "Traceback" not in said
+    monkeypatch.setenv("RUMI_DEBUG", "1")
+    with pytest.raises(type(error)):
+        main(["run", "mug-0"])
+
+
+def test_other_errors_of_a_run_keep_their_traceback(monkeypatch):
+    def fail(arguments):
+        raise RuntimeError("expected scalar type Float but found Double")
+
+    monkeypatch.setattr("rumi.commands.run.run", fail)
+    with pytest.raises(RuntimeError, match="scalar type"):
         main(["run", "mug-0"])
 
 

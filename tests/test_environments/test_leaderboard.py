@@ -1,4 +1,5 @@
 import json
+from types import SimpleNamespace
 
 import pytest
 
@@ -7,7 +8,7 @@ pytest.importorskip("gymnasium")
 
 from rumi import exit_codes
 from rumi.cli import main
-from rumi.environments.leaderboard import Score, read_board, table
+from rumi.environments.leaderboard import Player, Score, load_policy, read_board, table
 from rumi.errors import UsageError
 from rumi.tasks.rummage import settings
 from rumi.tasks.rummage.settings import preset
@@ -85,3 +86,73 @@ def test_what_is_no_policy_is_refused(tmp_path, capsys):
     (tmp_path / "board").write_text("{}\n")
     with pytest.raises(UsageError, match="a score a line"):
         read_board(tmp_path / "board")
+
+
+@pytest.mark.parametrize("board", ["folder", "file/board.jsonl"])
+def test_a_board_that_cannot_be_written_is_refused_before_anything_is_built(board, tmp_path, capsys, monkeypatch):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr("rumi.api.build", None)
+    assert main(["leaderboard", "rumi", "--board", str(tmp_path / board)]) == exit_codes.BAD_INPUT
+    assert f"Cannot write {tmp_path / board}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def act(observation:\n", "SyntaxError: "),
+        ("import nothing_of_this_name\ndef act(o): return o\n", "ModuleNotFoundError: No module named"),
+        ("1 / 0\n", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_file_that_cannot_be_loaded_is_named(text, words, tmp_path, capsys):
+    policy = tmp_path / "mine.py"
+    policy.write_text(text)
+    assert main(["leaderboard", str(policy)]) == exit_codes.BAD_INPUT
+    said = capsys.readouterr().err
+    assert str(policy) in said and words in said and "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def act(observation): return None\n", "NoneType"),
+        ("def act(observation): return 'abc'\n", "TypeError: "),
+        ("def act(): return [0.0, 0.0, 0.0]\n", "TypeError: act() takes 0 positional arguments"),
+        ("def act(observation): return observation['poze']\n", "KeyError: 'poze'"),
+    ],
+)
+def test_a_policy_that_gives_no_control_is_named(no_shape_check, text, words, tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(text)
+    policy, _ = load_policy(file)
+    state = SimpleNamespace(record=SimpleNamespace(reading=None))
+    with pytest.raises(UsageError) as refused:
+        Player(SimpleNamespace(), policy, lambda result, state: {}).act(state)
+    assert str(file) in str(refused.value) and words in str(refused.value)
+
+
+class _Task:
+    """A task whose runs are not carried out."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
+    task = agent = None
+
+
+def test_the_folder_of_a_board_is_made_and_the_table_is_shown_before_it_is_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("rumi.api.build", lambda settings, **kept: _Task())
+    new = made_up("rumi", 7, 0, 5)
+    monkeypatch.setattr("rumi.environments.leaderboard.score", lambda *given, **asked: new)
+    board = tmp_path / "new" / "board.jsonl"
+    assert main(["leaderboard", "rumi", "--board", str(board)]) == exit_codes.DONE
+    assert read_board(board) == [new]
+    monkeypatch.setattr("rumi.commands.leaderboard.append_line", lambda *given: 1 / 0)
+    capsys.readouterr()
+    with pytest.raises(ZeroDivisionError):
+        main(["leaderboard", "rumi", "--board", str(board)])
+    assert "7 of 10" in capsys.readouterr().out

@@ -114,3 +114,12 @@ def test_what_is_no_tool_is_refused():
     with pytest.raises(UsageError, match="'quasi-static' or 'displacement'"):
         gripper_of(TOOLS["ball"])
     assert math.isclose(TOOLS["ball"].surface(0.002).norm(dim=-1).mean(), 0.01, abs_tol=1e-5)
+
+
+def test_a_mesh_in_millimetres_is_refused_with_its_scale(tmp_path):
+    pytest.importorskip("trimesh")
+    file = tmp_path / "hand.obj"
+    file.write_text("v -40 -40 -40\nv 90 0 -20\nv 0 90 -20\nv 0 0 90\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    with pytest.raises(UsageError, match=r"Expected a mesh in metres between .* millimet"):
+        SolidTool.of_mesh(file)
+    assert len(SolidTool.of_mesh(file, scale=0.001).section(0.01))

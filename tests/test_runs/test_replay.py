@@ -6,6 +6,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -13,7 +14,9 @@ import torch
 from rumi import exit_codes
 from rumi.belief.particles import PoseBelief
 from rumi.cli import main
+from rumi.commands.replay import _check_object
 from rumi.commands.replay_summary import changes
+from rumi.errors import UsageError
 from rumi.runs.folder import load_run
 from rumi.runs.progress import Progress
 from rumi.runs.replay import digest
@@ -167,6 +170,21 @@ def test_what_is_no_log_is_named(capsys, tmp_path):
         file["a"] = [1]
     assert main(["replay", "log.h5"]) == exit_codes.BAD_INPUT
     assert "is no log of rumi" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["[]", "{half", "3", '{"mesh": "drill.obj"}'])
+def test_a_damaged_record_of_the_object_is_named(text, tmp_path):
+    log = SimpleNamespace(path=tmp_path, texts={"object": text})
+    with pytest.raises(UsageError, match=r"object\.json is damaged: "):
+        _check_object(log, None)
+    log.path = tmp_path / "log.h5"
+    with pytest.raises(UsageError, match=r"object in .*log\.h5 is damaged: "):
+        _check_object(log, None)
+
+
+@pytest.mark.parametrize("text", ["{}", '{"mesh": null}', '{"mesh": {"sha256": "1"}}'])
+def test_a_record_of_the_object_may_have_no_mesh(text, tmp_path):
+    _check_object(SimpleNamespace(path=tmp_path, texts={"object": text}), None)
 
 
 @pytest.mark.parametrize("arguments", [["--filter.peakiness", "1", "log.h5"], ["--out", "run"]])

@@ -248,3 +248,14 @@ def test_inference_mode(shape, generator):
         found = posed_query(shape, poses, points)
     torch.testing.assert_close(found.distance, expected.distance, atol=0, rtol=0)
     torch.testing.assert_close(found.gradient, expected.gradient, atol=0, rtol=0)
+
+
+@pytest.mark.parametrize("look_up", [posed_distance, posed_query])
+def test_points_of_another_float_type_are_refused(shape, look_up):
+    message = r"Expected points of torch.float32 as the poses are, got torch.float64: use .to\(dtype=torch.float32\)"
+    with pytest.raises(ValueError, match=message):
+        look_up(shape, torch.eye(4)[None], torch.zeros(3, 3, dtype=torch.float64))
+
+
+def test_no_points_may_be_of_any_float_type(shape):
+    assert posed_distance(shape, torch.eye(4)[None], torch.zeros(0, 3, dtype=torch.float64)).shape == (1, 0)

@@ -200,3 +200,26 @@ def test_padding_that_is_no_number_changes_nothing():
             module(moved, Observation(x, observation.semantics, observation.attached, valid)).sum().backward()
         slopes.append(moved.grad)
     torch.testing.assert_close(slopes[1], slopes[0], atol=1e-12, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(8, 3, 3), (4, 4), (8, 4, 3)])
+def test_poses_of_another_shape_are_refused(no_shape_check, shape):
+    module = Discrepancy(GridSDF.from_sdf(Box((0.1, 0.15, 0.08)), 0.02), 0.2)
+    with pytest.raises(ValueError, match=r"Expected frame_T_object to have shape \(\*b, N, 4, 4\), got \("):
+        module(torch.zeros(shape), Observation.of(torch.zeros(5, 3), Semantics.SURFACE))
+
+
+def test_points_of_another_shape_are_refused(no_shape_check):
+    module = Discrepancy(GridSDF.from_sdf(Box((0.1, 0.15, 0.08)), 0.02), 0.2)
+    points = torch.zeros(5, 2)
+    flat = Observation(points, points[:, 0].long(), points[:, 0] == 0, points[:, 0] == 0)
+    with pytest.raises(ValueError, match=r"Expected points to have shape \(\*b, M, 3\), got \(5, 2\)"):
+        module(torch.eye(4).expand(8, 4, 4), flat)
+
+
+def test_points_of_another_float_type_are_refused():
+    module = Discrepancy(GridSDF.from_sdf(Box((0.1, 0.15, 0.08)), 0.02), 0.2)
+    seen = Observation.of(torch.zeros(5, 3, dtype=F64), Semantics.SURFACE)
+    with pytest.raises(ValueError, match=r"Expected points of torch.float32 as the poses are, got torch.float64: use"):
+        module(torch.eye(4).expand(8, 4, 4), seen)
+    assert module(torch.eye(4).expand(8, 4, 4), Observation.empty(dtype=F64)).shape == (8,)

@@ -146,3 +146,11 @@ def test_versions_of_a_merge_add_the_same_points(dtype):
 def test_a_merge_refuses_points_too_far_off():
     with pytest.raises(ValueError, match="lattice cells of the origin"):
         merge(cloud(3, 0), Observation.of(torch.tensor([[0.0, 0.0, 1e6]]), Semantics.SURFACE), SPACING)
+
+
+@pytest.mark.parametrize("version", ["torch", "numba"])
+def test_a_merge_refuses_points_of_another_shape(no_shape_check, version):
+    points = torch.zeros(5, 2)
+    flat = Observation(points, points[:, 0].long(), points[:, 0] == 0, points[:, 0] == 0)
+    with backend.force(version), pytest.raises(ValueError, match=r"Expected points to have shape \(\*b, M, 3\)"):
+        merge(cloud(3, 0), flat, SPACING)

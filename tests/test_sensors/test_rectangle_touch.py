@@ -147,3 +147,15 @@ def test_ways_and_tops_that_are_no_numbers_are_refused(bad: float) -> None:
             here.with_way(*pair)
     with pytest.raises(ValueError, match="over_w to be finite"):
         here.with_top(nowhere)
+
+
+@pytest.mark.parametrize("version", ["torch", "numba"])
+def test_poses_and_touches_of_another_shape_are_refused(no_shape_check, version: str) -> None:
+    poses, points, ways = torch.zeros(4, 3), torch.zeros(5, 2), torch.zeros(6, 2, 2)
+    with backend.force(version):
+        for bad in ((poses[:, :2], points, points), (poses, torch.zeros(5, 3), torch.zeros(5, 3))):
+            with pytest.raises(ValueError, match="to have shape"):
+                rectangle_log_likelihoods(*bad, HALF, NOISE)
+        for pair in ((poses[:, :2], ways), (poses, ways[:, 0])):
+            with pytest.raises(ValueError, match="to have shape"):
+                way_clearances(pair[0], HALF, pair[1])

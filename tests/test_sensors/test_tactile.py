@@ -146,3 +146,13 @@ def test_observation_has_both_classes_and_instants():
 def test_bad_mask(no_shape_check):
     with pytest.raises(ValueError, match=r"touched.*got \(60, 2\)"):
         touched_points(poses(2), body(), torch.zeros(60, 2, dtype=torch.bool))
+
+
+@pytest.mark.parametrize("version", ["torch", "numba"], indirect=True)
+def test_poses_and_points_of_another_shape_are_refused(no_shape_check, version):
+    box = torch.tensor([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+    for bad_poses, bad_points in ((torch.zeros(2, 3, 3), torch.zeros(5, 3)), (torch.eye(4)[None], torch.zeros(5, 2))):
+        with pytest.raises(ValueError, match="to have shape"):
+            points_in_box(bad_poses, bad_points, box)
+        with pytest.raises(ValueError, match="to have shape"):
+            swept_points(bad_poses, bad_points, 0.01, region=box)

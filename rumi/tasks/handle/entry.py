@@ -11,12 +11,13 @@ from rumi.agent import Parts
 from rumi.runs.folder import RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.runs.progress import stages
+from rumi.seeding import check_seed
 from rumi.sim.fault import Fault
 from rumi.sim.faults import FAULTS, Faults, chosen_faults
 from rumi.tasks.handle.agent import HandleAgent, HandleResult, build_agent
 from rumi.tasks.handle.settings import SENSORS, HandleSettings
 from rumi.tasks.handle.simulated import HandleTask
-from rumi.tasks.registry import Role, check_preset, check_seed
+from rumi.tasks.registry import Role, check_preset
 from rumi.tasks.rummage.entry import Rummaging, ending
 from rumi.tasks.rummage.settings import PRESETS
 from sensors.contact_reading import ContactReading

@@ -11,6 +11,7 @@ from rumi.agent import Parts
 from rumi.registration.pose_summary import PoseSummary, answer_lines
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
+from rumi.seeding import check_seed
 from rumi.sim.fault import Fault
 from rumi.sim.faults import Faults, chosen_faults
 from rumi.tasks.peg.agent import PegAgent, build_peg
@@ -19,7 +20,7 @@ from rumi.tasks.peg.records import PARTS, PegRun, PegStep
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.peg.simulated import PegTask
 from rumi.tasks.peg.view import PegView
-from rumi.tasks.registry import Role, check_preset, check_seed
+from rumi.tasks.registry import Role, check_preset
 from sdf.mesh.mesh import TriangleMesh
 from sensors.reading import Reading
 

@@ -17,8 +17,9 @@ from rumi.runs.folder import Run, RunRecorder, write_json
 from rumi.runs.logbook import LOG, LogRecorder
 from rumi.runs.progress import say, stages
 from rumi.runs.provenance import provenance
+from rumi.seeding import check_seed
 from rumi.task import Task
-from rumi.tasks.registry import Role, check_seed
+from rumi.tasks.registry import Role
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.idle_errors import check_errors

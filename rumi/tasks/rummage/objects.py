@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import torch
 import tyro
+from annotated_types import Interval
 from jaxtyping import Float
 from torch import Tensor
 
@@ -34,6 +35,9 @@ OBJECTS.add("drill", "sdf.drill:drill_model")
 _LIKELY = 0.02  # probability of a pose at rest that is worth naming
 _ROOM = 0.5  # of the workspace's shorter side: what is wider can hardly be gone round
 
+Pushable = Annotated[float, Interval(ge=1e-4, le=1e3)]
+"""Mass of what a hand can push on a table, kg: beyond it the simulator's numbers no longer hold."""
+
 
 @dataclass(frozen=True)
 class ObjectSettings(Checked, refusal=UsageError):
@@ -54,7 +58,7 @@ class ObjectSettings(Checked, refusal=UsageError):
 
     mesh: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     scale: Positive = 1.0
-    mass_kg: Annotated[Positive | None, tyro.conf.arg(name="mass", metavar="KG")] = None
+    mass_kg: Annotated[Pushable | None, tyro.conf.arg(name="mass", metavar="KG")] = None
     friction: Positive | None = None
     upright: Literal["auto"] | tuple[Finite, Finite, Finite] = "auto"
     symmetry: str = "auto"

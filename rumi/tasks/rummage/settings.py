@@ -21,6 +21,7 @@ from rumi.planning.slide import SlideSettings
 from rumi.registration.descent import DescentSettings
 from rumi.runs.json_settings import changed, dataclass_of, not_numbers
 from rumi.runs.plain import plain
+from rumi.seeding import check_seed
 from rumi.sim.conditions import Conditions, bundle, under
 from rumi.sim.faults import Faults
 from rumi.sim.settings import SimSettings
@@ -108,8 +109,7 @@ class Settings:
             if getattr(self, name) not in valid:
                 raise UsageError(f"There is no {name} {getattr(self, name)!r}; there are {', '.join(valid)}")
         bundle(self.conditions)
-        if self.seed < 0:
-            raise UsageError(f"Expected seed to be 0 or more, got {self.seed}")
+        check_seed(self.seed)
         if self.steps is not None and self.steps < 0:
             raise UsageError(f"Expected steps to be 0 or more, got {self.steps}")
         if self.replan_every < 1:

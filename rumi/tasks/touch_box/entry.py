@@ -13,9 +13,10 @@ from rumi.errors import UsageError
 from rumi.registration.pose_summary import PoseSummary, answer_lines
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
+from rumi.seeding import check_seed
 from rumi.sim.fault import Fault
 from rumi.sim.faults import Faults, chosen_faults
-from rumi.tasks.registry import Role, check_preset, check_seed
+from rumi.tasks.registry import Role, check_preset
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, check_robot
 from rumi.tasks.touch_box.faulty import KINDS

@@ -119,7 +119,7 @@ def test_names_of_nested_settings():
         ({"filter": 3}, "Expected filter. to be an object with named values, got 3"),
         ({"seed": "one"}, "Expected seed to be of type int, got 'one'"),
         ({"seed": True}, "Expected seed to be of type int, got True"),
-        ({"seed": -1}, "Expected seed to be 0 or more, got -1"),
+        ({"seed": -1}, "Expected seed to be 0 or more, below 2**63, got -1"),
         ({"plan_budget_s": -0.1}, "Expected plan_budget_s to be 0 or more, got -0.1"),
         ({"plan_budget_s": "soon"}, "Expected plan_budget_s to be float | None, got 'soon'"),
         ({"planner": {"rollouts": 0}}, "planner: Expected rollouts to be 1 or more, got 0"),
