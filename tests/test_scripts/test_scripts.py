@@ -54,6 +54,14 @@ def test_a_script_ends_as_the_command_does(error, code, message, capsys):
     assert capsys.readouterr().err == message
 
 
+@pytest.fixture
+def usual_handler():
+    """Python's own handler of Ctrl-C, which is missing where a shell has the tests run in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield signal.default_int_handler
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize(
     ("error", "code", "message"),
     [
@@ -65,9 +73,7 @@ def test_a_script_ends_as_the_command_does(error, code, message, capsys):
         (None, exit_codes.DONE, ""),
     ],
 )
-def test_an_error_that_ctrl_c_within_an_import_becomes_is_an_interrupt(error, code, message, capsys):
-    before = signal.getsignal(signal.SIGINT)
-
+def test_an_error_that_ctrl_c_within_an_import_becomes_is_an_interrupt(error, code, message, capsys, usual_handler):
     def work():
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
@@ -79,7 +85,7 @@ def test_an_error_that_ctrl_c_within_an_import_becomes_is_an_interrupt(error, co
         cli.script(work)
     assert end.value.code == code
     assert capsys.readouterr().err.startswith(message)
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(signal.SIGINT) is usual_handler
 
 
 def test_an_error_without_ctrl_c_is_no_interrupt():
