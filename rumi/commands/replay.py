@@ -1,7 +1,6 @@
 """The command `rumi replay`: a recorded run or log in the robot's place."""
 
 import contextlib
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import tyro
 from rumi.cache import cache_folder
 from rumi.commands.flags import FLAGS
 from rumi.commands.recordings import keep
-from rumi.commands.replay_summary import differing, machines, summary
+from rumi.commands.replay_summary import differing, machines, recorded_mesh, summary
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.runs.logbook import LOG
@@ -334,19 +333,8 @@ def _in_dtype(settings: Any, taken: "Sequence[Recorded]") -> Any:  # noqa: ANN40
 
 
 def _check_object(log: Any, agent: Any) -> None:  # noqa: ANN401
-    """Say so where the mesh is not the one that was recorded with.
-
-    Raises:
-        UsageError: the record of the object is damaged.
-    """
-    try:
-        about = json.loads(log.texts.get("object", "{}"))
-        mesh = about.get("mesh")
-        if mesh is not None and not isinstance(mesh, dict):
-            raise TypeError(f"its mesh is {mesh!r}")
-    except (ValueError, TypeError, AttributeError) as error:
-        file = log.path / "object.json" if log.path.is_dir() else f"The record of the object in {log.path}"
-        raise UsageError(f"{file} is damaged: {error}") from error
+    """Say so where the mesh is not the one that was recorded with."""
+    mesh = recorded_mesh(log)
     source = getattr(getattr(agent, "model", None), "source", None)
     if mesh is not None and source is not None and mesh.get("sha256") != source.sha256:
         say(f"{source.file} is not the mesh of the recorded run ({mesh.get('file')}): other beliefs will come of it")

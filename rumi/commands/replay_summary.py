@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rumi.errors import UsageError
 from rumi.runs.plain import plain
 
 if TYPE_CHECKING:
@@ -79,3 +80,19 @@ def _at(values: Mapping[str, Any], name: str) -> Any:  # noqa: ANN401  (a plain 
     for part in name.split("."):
         values = values.get(part, {}) if isinstance(values, Mapping) else {}
     return values if values != {} else None
+
+
+def recorded_mesh(log: "Log | RunLog") -> Mapping[str, Any] | None:
+    """What a recording says of its object's mesh; None of an object without one.
+
+    Raises:
+        UsageError: that is damaged.
+    """
+    try:
+        mesh = json.loads(log.texts.get("object", "{}")).get("mesh")
+        if mesh is not None and not isinstance(mesh, dict):
+            raise TypeError(f"its mesh is {mesh!r}")
+    except (ValueError, TypeError, AttributeError) as error:
+        file = log.path / "object.json" if log.path.is_dir() else f"The record of the object in {log.path}"
+        raise UsageError(f"{file} is damaged: {error}") from error
+    return mesh

@@ -14,16 +14,13 @@ from rumi.tasks.rummage.settings import Settings, from_dict
 from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf.primitives import Mug
 from tests.fixtures.meshes import box
+from tests.fixtures.small_run import SMALL
 
 for package in ("trimesh", "scipy", "networkx"):
     pytest.importorskip(package)
 pytestmark = [pytest.mark.sim, pytest.mark.usefixtures("at_home", "all_in_reach")]  # meshes of many heights
 
-SMALL = [
-    *("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12"),
-    *("--planner.mppi.samples", "8", "--planner.mppi.warmup-iterations", "1", "--planner.rollouts", "1"),
-    *("--spacing", "0.004", "--collision", "hull"),
-]
+COARSE = [*SMALL, "--spacing", "0.004", "--collision", "hull"]
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +40,7 @@ def run_small(*more):
 
 
 def test_a_run_with_a_mesh(mesh, capsys, all_in_reach):
-    options = (*SMALL, "--mesh", str(mesh), "--mass", "0.5", "--friction", "0.4", "--upright", "0", "0", "20")
+    options = (*COARSE, "--mesh", str(mesh), "--mass", "0.5", "--friction", "0.4", "--upright", "0", "0", "20")
     assert run_small(*options) == exit_codes.NOT_CONVERGED
     folder = Path("runs/mug-0-my-mug-rumi-default-s0")
     run = load_run(folder)
@@ -65,7 +62,7 @@ def test_a_run_with_a_mesh(mesh, capsys, all_in_reach):
 
 
 def test_the_tasks_own_object_is_described_too():
-    small = SMALL[:-4]
+    small = SMALL
     assert run_small(*small, "--out", "own") == exit_codes.NOT_CONVERGED
     said = json.loads(Path("own/object.json").read_text())
     assert (said["name"], said["mesh"]) == ("mug", None)
@@ -74,9 +71,9 @@ def test_the_tasks_own_object_is_described_too():
 def test_what_is_lower_than_the_usual_tool_is_found_or_refused_before_anything_is_written(tmp_path, capsys):
     write_obj(box((0.06, 0.04, 0.015)), tmp_path / "slab.obj")
     write_obj(box((0.08, 0.05, 0.001)), tmp_path / "plate.obj")
-    assert run_small(*SMALL, "--mesh", "slab.obj", "--out", "slab") == exit_codes.NOT_CONVERGED
+    assert run_small(*COARSE, "--mesh", "slab.obj", "--out", "slab") == exit_codes.NOT_CONVERGED
     assert float(load_run("slab").steps[0].reading.tool_pose[0, 2, 3]) == pytest.approx(0.023)
-    assert run_small(*SMALL, "--mesh", "plate.obj") == exit_codes.BAD_INPUT
+    assert run_small(*COARSE, "--mesh", "plate.obj") == exit_codes.BAD_INPUT
     assert "got 160 x 100 x 2 mm" in (said := capsys.readouterr().err) and "`rumi localize`" in said
     assert not list(Path("runs").iterdir())
 
@@ -96,9 +93,7 @@ def test_what_is_lower_than_the_usual_tool_is_found_or_refused_before_anything_i
 )
 def test_bad_input_is_refused(mesh, options, said, capsys):
     Path("text.obj").write_text("nothing to see\n")
-    assert (
-        run_small(*(SMALL if "--mesh" in options else SMALL[:-4]), *options, "--out", "there") == exit_codes.BAD_INPUT
-    )
+    assert run_small(*(COARSE if "--mesh" in options else SMALL), *options, "--out", "there") == exit_codes.BAD_INPUT
     error = capsys.readouterr().err
     assert said in error and "Traceback" not in error
     # nothing was begun: the folder can be used again

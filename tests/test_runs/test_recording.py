@@ -15,9 +15,6 @@ import numpy as np
 import pytest
 import torch
 
-import rumi
-from rumi import exit_codes
-from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs import folder as folder_module
 from rumi.runs.files import new_file
@@ -349,29 +346,3 @@ def test_a_result_of_steps_that_are_no_number_is_damaged(tmp_path, run, steps):
     path.write_text(damaged)
     with pytest.raises(UsageError, match=r"result.json is damaged"):
         load_run(folder)
-
-
-@pytest.mark.parametrize(
-    "line", ["[1, 2]", "3", "{}", '{"step": [], "timings_s": {}}', '{"step": 0, "timings_s": 1}', "{"]
-)
-def test_a_line_of_steps_without_seconds_is_passed_over(tmp_path, run, line):
-    folder = record(tmp_path / "run", run)
-    lines = (folder / "steps.jsonl").read_text().splitlines()
-    (folder / "steps.jsonl").write_text("\n".join([line, *lines[1:]]) + "\n")
-    steps = load_run(folder).steps
-    assert steps[0].timings_s == {} and [step.timings_s for step in steps[1:]] == [s.timings_s for s in run.steps[1:]]
-
-
-def test_steps_that_are_no_text_do_not_damage_the_trace(tmp_path, run):
-    folder = record(tmp_path / "run", run)
-    (folder / "steps.jsonl").write_bytes(b"\xff\xfe\n")
-    assert len(load_run(folder).steps) == len(run.steps)
-
-
-def test_figures_are_refused_a_folder_that_is_a_file(tmp_path, run, capsys):
-    folder = record(tmp_path / "run", run)
-    (tmp_path / "file").write_text("in the way")
-    assert main(["plot", str(folder), "--out", str(tmp_path / "file")]) == exit_codes.BAD_INPUT
-    assert f"Cannot write to the folder {tmp_path / 'file'}" in capsys.readouterr().err
-    with pytest.raises(UsageError, match="Cannot write to the folder"):
-        rumi.plot(folder, tmp_path / "file")
