@@ -1,5 +1,6 @@
 """Particles of an upright object that nothing has pushed yet: of a prior, a first view, or anew for a first touch."""
 
+import math
 from dataclasses import replace
 
 import torch
@@ -17,7 +18,7 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.trajectory_starts import from_prior
 from rumi.belief.yaw_search import all_round
 from rumi.resampling import resample_systematic
-from rumi.seeding import normal
+from rumi.seeding import normal, uniform
 from sensors.observation import Observation
 
 DRAWS, STARTS = 6000, 300
@@ -27,6 +28,7 @@ SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))
 """Deviations of draws about poses that fit a view: metres, radians."""
 
 _SWEEPS = 4  # of moves over draws of a view's posterior
+_BELOW = 2.0  # nats below the particles' own weights from which on draws are given up
 
 
 def of_prior(
@@ -90,27 +92,44 @@ def of_view(
 def drawn_again(now: Trajectories, model: Pushed, own: PoseTrajectorySettings, random: torch.Generator) -> Trajectories:
     """More particles, equally weighted, of an object that nothing has pushed yet: importance sampling.
 
+    Draws of little weight are given up before all of their likelihood is known (rejection control; Liu, Chen and Wong
+    1998): one of weight w below a floor is kept with probability w / floor, and weighs as much as that then.
+
     Args:
         now: particles of it.
         model: object and tool.
         own: of the filter.
         random: of the draws.
     """
-    scale = now.starts.new_tensor(KERNEL)
     if now.first is None:
         rows = torch.randint(len(now.starts), (DRAWS,), generator=random)
         start = now.starts[rows].clone()
-        start[:, :3] += scale * normal((DRAWS, 3), generator=random, dtype=torch.float64)
+        start[:, :3] += start.new_tensor(KERNEL) * normal((DRAWS, 3), generator=random, dtype=torch.float64)
     else:
         start = from_prior(now.first, DRAWS, random)[:, :3]
     drawn = Trajectories.drawn(start, now.history, random, now.starts, systematic=_errors(DRAWS, own, random))
     drawn = replace(drawn, log_evidence=now.log_evidence, first=now.first)
-    if len(now.history):
-        drawn = drawn.replayed(model, own, now.history, torch.zeros(DRAWS, dtype=torch.long))
-    log_weights = drawn.log_likelihood.sum(-1)
-    if now.first is None:
-        log_weights = log_weights - start_density(start, now.starts, scale)
-    return drawn.at(resample_systematic(log_weights, own.first_particles, generator=random))
+    proposal = _log_proposal(start, now)
+    floor = (now.log_likelihood.sum(-1) - _log_proposal(now.poses[:, 0], now)).median() - _BELOW
+    least = floor + proposal + uniform((DRAWS,), generator=random, dtype=torch.float64).log()
+    for bound in (least, torch.full_like(least, -math.inf)):  # all are weighed as they are, where none is kept
+        tried = drawn
+        if len(now.history):
+            tried = drawn.replayed(model, own, now.history, torch.zeros(DRAWS, dtype=torch.long), bound)
+        told = tried.log_likelihood.sum(-1)
+        kept, log_weights = told > bound, told - proposal
+        if bool(kept.any()):
+            break
+    log_weights = torch.where(bound.isfinite(), log_weights.clamp_min(floor), log_weights)
+    log_weights = torch.where(kept, log_weights, -math.inf)
+    return tried.at(resample_systematic(log_weights, own.first_particles, generator=random))
+
+
+def _log_proposal(start: Float[Tensor, "N 3"], now: Trajectories) -> Float[Tensor, "N"]:
+    """Log-density, up to a constant, of what start poses are drawn anew from, over that of their prior."""
+    if now.first is not None:
+        return start.new_zeros(len(start))
+    return start_density(start, now.starts, start.new_tensor(KERNEL))
 
 
 def _errors(count: int, own: PoseTrajectorySettings, random: torch.Generator) -> Tensor | None:

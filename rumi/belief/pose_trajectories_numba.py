@@ -18,6 +18,7 @@ GROUP = 8
 """Points of the tool's border that are left out together: as many as are looked up at a time."""
 
 _SLACK = 1e-6  # nats by which sums in another order may differ
+_BLOCK = 64  # points of an instant after which it is asked whether a particle is given up
 
 
 @block
@@ -259,7 +260,7 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
     path, pushes, ends, action, point_ends = done
     points, weight, row = sensed
     numbers = shape[3]
-    begin, total, exact = first[n], 0.0, len(errors) == 0
+    begin, total, exact, enough = first[n], 0.0, len(errors) == 0, least[n] - _SLACK
     worn = 0.0 if exact else errors[n, 3]
     thin = np.float32(worn)
     x, y, yaw = poses[n, begin, 0], poses[n, begin, 1], poses[n, begin, 2]
@@ -304,16 +305,21 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
                     while shown < behind and row[shown] == 0:
                         shown += 1
                     toward = toward_camera(at_x, at_y, math.cos(turned), math.sin(turned), eye, scales[22])
-                    log += told_by_view(
-                        point, shown, pose, thin, toward, step, points, weight, row, logs, inverse, flat, lattice, room
-                    )
-                    point = shown
-                log += _readings(point, behind, pose, thin, points, weight, row, logs, inverse, flat, lattice)
+                    while point < shown and total + log >= enough:
+                        to = min(point + _BLOCK, shown)
+                        log += told_by_view(
+                            point, to, pose, thin, toward, step, points, weight, row, logs, inverse, flat, lattice, room
+                        )
+                        point = to
+                while point < behind and total + log >= enough:
+                    to = min(point + _BLOCK, behind)
+                    log += _readings(point, to, pose, thin, points, weight, row, logs, inverse, flat, lattice)
+                    point = to
                 if behind < last:
                     told = _readings(behind, last, pose, thin, points, weight, row, logs, inverse, flat, lattice)
                     log += told_by_silence(told, scales[18], scales[19] if segment == len(ends) - 1 else 1.0)
             # no reading's log-likelihood is above 0: what is too little now stays so
-            if total + log < least[n] - _SLACK:
+            if total + log < enough:
                 found[n, segment] = -math.inf
                 return
         poses[n, segment + 1, 0], poses[n, segment + 1, 1], poses[n, segment + 1, 2] = x, y, yaw

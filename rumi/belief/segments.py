@@ -61,6 +61,8 @@ def standing(
         (free, Kind.FREE, each_free, most_free),
     ):
         kept, counts = _thinned(len(points), math.ceil(share * most))
+        if len(seen):  # the first few of a view's points tell about what all of them do
+            kept = kept[_scattered(len(kept))]
         parts.append((points[kept], torch.full((len(kept),), int(kind)), torch.full((len(kept),), each * counts)))
     points, kinds, weights = (torch.cat(part) for part in zip(*parts, strict=True))
     still = torch.zeros(1, 2, model.path(se3.identity((1,))).shape[-1], dtype=torch.float64)
@@ -298,3 +300,8 @@ def _thinned(count: int, most: int) -> tuple[Int[Tensor, "k"], float]:
     kept = min(count, most)
     index = ((torch.arange(kept, dtype=torch.float64) + 0.5) * (count / max(1, kept))).long()
     return index, count / max(1, kept)
+
+
+def _scattered(count: int) -> Int[Tensor, "count"]:
+    """An order in which the first of any number lie evenly among all: by multiples of the golden ratio."""
+    return (torch.arange(count, dtype=torch.float64) * (0.5 * (math.sqrt(5.0) - 1.0)) % 1.0).argsort()

@@ -90,6 +90,21 @@ def test_the_compiled_replay_is_the_plain_one(cup, systematic):
     assert float(off.median()) < 2e-3 and float(off.max()) < 1.0
 
 
+@pytest.mark.parametrize("kind", [Kind.SEEN, Kind.FREE])
+def test_in_the_middle_of_a_view_too_what_cannot_reach_its_least_is_given_up_and_nothing_else(cup, kind):
+    history = seen(front(300, 0.002), torch.full((300,), int(kind)))
+    random = generator(6)
+    start = torch.randn(60, 3, generator=random, **DOUBLE) * torch.tensor([0.003, 0.003, 1.0], **DOUBLE)
+    given, first = Trajectories.still(start, history), torch.zeros(60, dtype=torch.long)
+    with backend.force("numba"):
+        whole = given.replayed(cup, KNOWS, history, first).log_likelihood[:, 0]
+        least = whole * (0.5 + torch.rand(60, generator=random, **DOUBLE))
+        found = given.replayed(cup, KNOWS, history, first, least).log_likelihood[:, 0]
+    kept = whole >= least - 1e-6  # up to rounding
+    assert torch.equal(found.isfinite(), kept) and 10 < int(kept.sum()) < 50
+    torch.testing.assert_close(found[kept], whole[kept], atol=0, rtol=0)
+
+
 def test_noise_draws_no_thin_wall_to_the_camera(cup):
     """The likeliest place of a wall that is seen with noise of half its thickness is where it is."""
     history = seen(front(2000, 0.5 * WALL_M))
