@@ -21,7 +21,7 @@ from rumi.belief.pose_trajectories import NOISE, OWN, PoseTrajectoryBelief, Traj
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.sample_size import particles_wanted
-from rumi.belief.segments import felt_pads, path_of, pushed, until_felt
+from rumi.belief.segments import cut, felt_pads, path_of, pushed, until_felt
 from rumi.belief.tempering import check_finite, log_mean, power_of
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History, Kind, Segment
@@ -148,12 +148,14 @@ class BootstrapFilter(PoseTrajectoryFilter):
         self,
         now: Trajectories,
         log_weights: Tensor,
-        parts: Sequence[Tensor],
         reading: Reading,
         path: Tensor,
         random: torch.Generator,
+        *,
+        closes: bool,
     ) -> tuple[Trajectories, list[int]]:
         before, felt, spans, told = (now, log_weights), felt_pads(reading, self.model, self.own), list[int](), 0.0
+        parts: Sequence[Tensor] = cut(reading, self.own, self.model.lifted(reading.tool_pose))
         unfelt = now.apart and not bool(reading.in_contact.any())
         if unfelt:
             parts = torch.arange(len(path)).split(self.own.instants)
@@ -250,7 +252,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
         return replace(now, poses=poses)
 
     def _weighed(
-        self, now: Trajectories, log_weights: Tensor, segment: Segment, random: torch.Generator
+        self, now: Trajectories, log_weights: Tensor, segment: Segment, random: torch.Generator, *, closes: bool = False
     ) -> tuple[Trajectories, Tensor, bool]:
         count, history = len(now), now.history.appended(segment)
         now = now.lengthened(torch.zeros(count, 1, NOISE, dtype=torch.float64), history)

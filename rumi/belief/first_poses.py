@@ -11,7 +11,7 @@ from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import standing
-from rumi.belief.systematic_errors import NUMBERS
+from rumi.belief.systematic_errors import NUMBERS, as_it_is, as_seen
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import KERNEL, Moves, start_density
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -21,8 +21,8 @@ from rumi.resampling import resample_systematic
 from rumi.seeding import normal, uniform
 from sensors.observation import Observation
 
-DRAWS, STARTS = 6000, 300
-"""Start poses that are drawn and weighed, and those that stand for what they leave open."""
+DRAWS, STARTS, AGAIN = 6000, 300, 1000
+"""Start poses that are drawn and weighed, that stand for what they leave open, and that are drawn about these anew."""
 
 SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))
 """Deviations of draws about poses that fit a view: metres, radians."""
@@ -76,12 +76,12 @@ def of_view(
     draws = max(DRAWS // len(fitted), 1)
     spread = fitted.new_tensor([(m, m, rad) for m, rad in SPREADS])
     scale = spread[torch.arange(draws * len(fitted)) % len(spread)]
-    start = fitted.repeat(draws, 1) + scale * normal(scale.shape, generator=random, dtype=torch.float64)
-    drawn = Trajectories.drawn(start, history, random, systematic=_errors(len(start), own, random))
-    drawn = drawn.replayed(model, own, history, torch.zeros(len(start), dtype=torch.long))
-    proposal = torch.stack([start_density(start, fitted, s) for s in spread]).logsumexp(0)
+    seen = fitted.repeat(draws, 1) + scale * normal(scale.shape, generator=random, dtype=torch.float64)
+    drawn = _shown(seen, history, own, random)
+    drawn = drawn.replayed(model, own, history, torch.zeros(len(seen), dtype=torch.long))
+    proposal = torch.stack([start_density(seen, fitted, s) for s in spread]).logsumexp(0)
     log_weights = drawn.log_likelihood.sum(-1) - proposal
-    starts = start[resample_systematic(log_weights, STARTS, generator=random)]
+    starts = seen[resample_systematic(log_weights, STARTS, generator=random)]
     drawn = replace(drawn.at(resample_systematic(log_weights, own.particles, generator=random)), starts=starts)
     moves = Moves(model, own, random)
     for _ in range(_SWEEPS):
@@ -102,20 +102,21 @@ def drawn_again(now: Trajectories, model: Pushed, own: PoseTrajectorySettings, r
         random: of the draws.
     """
     if now.first is None:
-        rows = torch.randint(len(now.starts), (DRAWS,), generator=random)
-        start = now.starts[rows].clone()
-        start[:, :3] += start.new_tensor(KERNEL) * normal((DRAWS, 3), generator=random, dtype=torch.float64)
+        rows = torch.randint(len(now.starts), (AGAIN,), generator=random)
+        seen = now.starts[rows].clone()
+        seen[:, :3] += seen.new_tensor(KERNEL) * normal((AGAIN, 3), generator=random, dtype=torch.float64)
+        drawn = _shown(seen, now.history, own, random)
     else:
-        start = from_prior(now.first, DRAWS, random)[:, :3]
-    drawn = Trajectories.drawn(start, now.history, random, now.starts, systematic=_errors(DRAWS, own, random))
-    drawn = replace(drawn, log_evidence=now.log_evidence, first=now.first)
-    proposal = _log_proposal(start, now)
-    floor = (now.log_likelihood.sum(-1) - _log_proposal(now.poses[:, 0], now)).median() - _BELOW
-    least = floor + proposal + uniform((DRAWS,), generator=random, dtype=torch.float64).log()
+        start = from_prior(now.first, AGAIN, random)[:, :3]
+        drawn = Trajectories.drawn(start, now.history, random, systematic=_errors(AGAIN, own, random))
+    drawn = replace(drawn, starts=now.starts, log_evidence=now.log_evidence, first=now.first)
+    proposal = _log_proposal(drawn, now, own)
+    floor = (now.log_likelihood.sum(-1) - _log_proposal(now, now, own)).median() - _BELOW
+    least = floor + proposal + uniform((AGAIN,), generator=random, dtype=torch.float64).log()
     for bound in (least, torch.full_like(least, -math.inf)):  # all are weighed as they are, where none is kept
         tried = drawn
         if len(now.history):
-            tried = drawn.replayed(model, own, now.history, torch.zeros(DRAWS, dtype=torch.long), bound)
+            tried = drawn.replayed(model, own, now.history, torch.zeros(AGAIN, dtype=torch.long), bound)
         told = tried.log_likelihood.sum(-1)
         kept, log_weights = told > bound, told - proposal
         if bool(kept.any()):
@@ -125,11 +126,21 @@ def drawn_again(now: Trajectories, model: Pushed, own: PoseTrajectorySettings, r
     return tried.at(resample_systematic(log_weights, own.first_particles, generator=random))
 
 
-def _log_proposal(start: Float[Tensor, "N 3"], now: Trajectories) -> Float[Tensor, "N"]:
+def _shown(
+    seen: Float[Tensor, "N 3"], history: History, own: PoseTrajectorySettings, random: torch.Generator
+) -> Trajectories:
+    """Draws of the prior by where a camera has the object, not replayed yet: it is off by what it errs by."""
+    errors = _errors(len(seen), own, random)
+    start = seen if errors is None else as_it_is(own, errors, seen)
+    return Trajectories.drawn(start, history, random, systematic=errors)
+
+
+def _log_proposal(drawn: Trajectories, now: Trajectories, own: PoseTrajectorySettings) -> Float[Tensor, "N"]:
     """Log-density, up to a constant, of what start poses are drawn anew from, over that of their prior."""
+    start = drawn.poses[:, 0]
     if now.first is not None:
         return start.new_zeros(len(start))
-    return start_density(start, now.starts, start.new_tensor(KERNEL))
+    return start_density(as_seen(own, drawn.systematic, start), now.starts, start.new_tensor(KERNEL))
 
 
 def _errors(count: int, own: PoseTrajectorySettings, random: torch.Generator) -> Tensor | None:

@@ -12,6 +12,7 @@ from rumi.belief.misfit import MisfitSettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.systematic_errors import as_seen
 from rumi.belief.tempering import check_finite, power_of
 from rumi.belief.trajectory_faults import new_segments
 from rumi.belief.trajectory_history import History
@@ -60,7 +61,8 @@ def begun_again(
     gained = drawn.log_likelihood.sum(-1)
     check_finite(gained)
     power = power_of(torch.zeros_like(gained), gained, 0.0, float(_STARTS))  # starts are proposals: they may be wide
-    starts = start[resample_systematic(power * gained, _STARTS, generator=generator)]
+    seen = as_seen(sensed, drawn.systematic, start)
+    starts = seen[resample_systematic(power * gained, _STARTS, generator=generator)]
     drawn = replace(drawn.at(resample_systematic(gained, sensed.particles, generator=generator)), starts=starts)
     moves = Moves(model, sensed, generator)
     for _ in range(_SWEEPS):

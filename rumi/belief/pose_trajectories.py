@@ -35,7 +35,8 @@ class Trajectories:
             resting pose, the edge that it leans about, and the tilt (`rumi.dynamics.toppling.Leaning`).
         log_likelihood: (N, S), of each segment's readings.
         history: what was done and sensed.
-        starts: (Q, 3 or 6), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
+        starts: (Q, 3 or 6), poses that the first view leaves open, as it has them, about evenly likely: proposals are
+            drawn about them.
         apart: whether they stand too far apart for a touch: draws of a prior, or of where a jump may have led.
         log_evidence: estimate of the log marginal likelihood of the readings since the start.
         forgotten: segments before the history's first.

@@ -246,7 +246,8 @@ def _tool(taken, errors):
 def _sensed(x, y, yaw, taken, seen, errors):
     """Where the object would be if camera and tool were where they are taken to be, and sensed the same."""
     if seen:
-        return x + errors[4], y + errors[5], yaw
+        cos, sin = math.cos(errors[6]), math.sin(errors[6])
+        return cos * x - sin * y + errors[4], sin * x + cos * y + errors[5], yaw + errors[6]
     true = _tool(taken, errors)
     cos, sin = math.cos(errors[2]), math.sin(errors[2])
     x, y = x - true[0], y - true[1]

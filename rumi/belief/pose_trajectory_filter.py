@@ -7,7 +7,6 @@ and particles are resampled and moved under their whole history (Chopin's IBIS, 
 """
 
 import copy
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Self
 
@@ -43,7 +42,6 @@ _LOOKED_AT = 24
 _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
 _UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
 _ALIVE = 0.4  # share of different poses before an action that needs no moves in the middle of it
-_LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
 
 
 class Advanced(NamedTuple):
@@ -169,15 +167,14 @@ class PoseTrajectoryFilter(PoseFilter):
         own, resampled = self.own, False
         path = path_of(reading, self.model)
         spans, touched = list[int](), self._pushes(now, log_weights, reading, path)
+        stood = reading.observation if not touched else seen_besides(reading, self.model, own)
         if touched:
-            parts = cut(reading, own, self.model.lifted(reading.tool_pose))
-            now, spans = self._touched(now, log_weights, parts, reading, path, random)
+            now, spans = self._touched(now, log_weights, reading, path, random, closes=not len(stood))
             log_weights, resampled = normalise(log_weights.new_zeros(len(now))), True
         rides = middle_motion(now, spans, len(reading.in_contact), self.model)
-        stood = reading.observation if not touched else seen_besides(reading, self.model, own)
         still = standing(stood, self._poses(now, log_weights), self.model, own, now.history)
         if still is not None:
-            now, log_weights, again = self._weighed(now, log_weights, still, random)
+            now, log_weights, again = self._weighed(now, log_weights, still, random, closes=touched)
             resampled |= again
         return Advanced(now, log_weights, touched, spans, rides, resampled, touched or still is not None)
 
@@ -215,26 +212,28 @@ class PoseTrajectoryFilter(PoseFilter):
         self,
         now: Trajectories,
         log_weights: Tensor,
-        parts: Sequence[Tensor],
         reading: Reading,
         path: Tensor,
         random: torch.Generator,
+        *,
+        closes: bool,
     ) -> tuple[Trajectories, list[int]]:
         """Particles, equally weighted, after an action with contact, and how long its segments are; none if anew.
 
         Args:
             now: the particles.
             log_weights: of them.
-            parts: instants of each segment.
             reading: of the action.
             path: of the tool.
             random: of the draws.
+            closes: whether nothing further tells of the action: no camera has looked after it.
         """
         felt, spans = felt_pads(reading, self.model, self.own), list[int]()
         if self.own.first_particles > len(now) and len(now.starts) and not len(now.history.moving()):
             now = drawn_again(now, self.model, self.own, random)
             log_weights = normalise(now.pose.new_zeros(len(now)))
         lifted = self.model.lifted(reading.tool_pose)
+        parts = cut(reading, self.own, lifted)
         level = [place for place, instants in enumerate(parts) if not bool(lifted[instants[0]])]
         for place, instants in enumerate(parts):
             if place not in level:
@@ -243,8 +242,8 @@ class PoseTrajectoryFilter(PoseFilter):
                 continue
             tracks = self._tracks(now, log_weights, path[instants])
             segment = pushed(reading, instants, path, felt, tracks, self.model, self.own)
-            closes = place == level[-1]
-            now = self.absorbed(now, log_weights, segment, random, opens=not spans, closes=closes)
+            last = closes and place == level[-1]
+            now = self.absorbed(now, log_weights, segment, random, opens=not spans, closes=last)
             log_weights, spans = normalise(now.pose.new_zeros(len(now))), [*spans, len(instants)]
         return now, spans
 
@@ -270,7 +269,7 @@ class PoseTrajectoryFilter(PoseFilter):
         """Particles and their log-weights after a segment, pushed or not."""
         if segment.pushes:
             now = self.absorbed(now, log_weights, segment, random, opens=opens, closes=closes)
-            return now, normalise(torch.zeros_like(log_weights))
+            return now, normalise(now.pose.new_zeros(len(now)))
         now, log_weights, _ = self._weighed(now, log_weights, segment, random)
         return now, log_weights
 
@@ -306,29 +305,34 @@ class PoseTrajectoryFilter(PoseFilter):
         return self._tempered(now, power, random, whole=closes)
 
     def _weighed(
-        self, now: Trajectories, log_weights: Tensor, segment: Segment, random: torch.Generator
+        self, now: Trajectories, log_weights: Tensor, segment: Segment, random: torch.Generator, *, closes: bool = False
     ) -> tuple[Trajectories, Tensor, bool]:
-        """Particles weighed by what was sensed while the object stood still; resampled only where that degenerates."""
+        """Particles weighed by what was sensed while the object stood still.
+
+        They are resampled only where that degenerates, or too many; and moved then, or where it closes an action.
+        """
         count, history = len(now), now.history.appended(segment)
         noise = normal((count, 1, NOISE), generator=random, dtype=torch.float64)
         now = now.lengthened(noise, history)
         now = now.replayed(self.model, self.own, history, torch.full((count,), len(history) - 1))
         gained = now.log_likelihood[:, -1]
         check_finite(gained)
-        heavier = log_weights + gained
-        if float(effective_sample_size(heavier)) >= 0.5 * count:
-            told = log_mean(log_weights, gained)
-            return replace(now, log_evidence=now.log_evidence + told), normalise(heavier), False
-        power = power_of(log_weights, gained, 0.0, 0.5 * count)
+        few = min(count, self.own.particles)
+        enough = float(effective_sample_size(log_weights + gained)) >= 0.5 * few
+        power = 1.0 if enough else power_of(log_weights, gained, 0.0, 0.5 * few)
+        heavier = normalise(log_weights + power * gained)
         now = replace(now, log_evidence=now.log_evidence + log_mean(log_weights, power * gained))
-        now = now.at(resample_systematic(log_weights + power * gained, generator=random))
-        now = self._tempered(raised(now, power), power, random, whole=True)
-        return now, normalise(torch.zeros_like(log_weights)), True
+        resampled = not enough or (closes and count > few)
+        if resampled:
+            now = now.at(resample_systematic(heavier, few, generator=random))
+            heavier = normalise(heavier.new_zeros(few))
+        if resampled or closes:
+            now = self._tempered(raised(now, power), power, random, whole=True)
+        return now, heavier, resampled
 
     def _tempered(self, now: Trajectories, power: float, random: torch.Generator, *, whole: bool) -> Trajectories:
         """Particles moved and resampled until the last segment's readings count in full, at last from the start."""
         moves = self.moves(self.model, self.own, random)
-        whole |= len(now.history.moving()) <= _LONG
         return in_full(now, power, moves, random, rounds=self.own.rounds, whole=whole)
 
     def _heights(self, now: Trajectories) -> Float[Tensor, "N"]:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rumi.belief.felt_force import directions_of, log_likelihood_of_forces
 from rumi.belief.pose_trajectories import Trajectories
-from rumi.belief.systematic_errors import SystematicErrors
+from rumi.belief.systematic_errors import NUMBERS, SystematicErrors
 from rumi.belief.trajectory_history import History, arrays_of
 from rumi.belief.trajectory_likelihood import facing_step_m, replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -292,7 +292,7 @@ def _replay_numba(
     grid = grid_arguments(model.sdf, torch.float32)
     others = (own.centre_change_m, own.least_m, own.missed, history.power, bool(own.rim), own.push_m)
     scales = torch.cat((scales, scales.new_tensor((*others, facing_step_m(own)))))
-    errors = SystematicErrors.of(own, given.systematic).table if own.systematic else scales.new_zeros(0, 6)
+    errors = SystematicErrors.of(own, given.systematic).table if own.systematic else scales.new_zeros(0, NUMBERS)
     eye = scales.new_zeros(0) if own.eye_m is None else scales.new_tensor(own.eye_m)
     if own.eye_m is not None:
         eye[2] -= model.resting_m

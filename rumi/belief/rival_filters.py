@@ -24,9 +24,10 @@ from rumi.belief.offset_rings import CAMERA, HAND, Ring, drawn
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.systematic_errors import as_it_is, as_seen
 from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_history import History
-from rumi.belief.trajectory_moves import KERNEL, Moves, start_density
+from rumi.belief.trajectory_moves import Moves, start_density
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import normal
 from rumi.weights import normalise
@@ -38,12 +39,16 @@ RIVALS = ("hand off", "camera off", "another size", "push model off")
 
 NO_FAULT = "no fault"
 
+MOVED_KERNEL = (0.0015, 0.0015, math.radians(2.0))
+"""Kernel of the density of start poses that a fault moved: metres, metres, radians."""
+
 _SIZES = (0.93, 0.965, 1.035, 1.07)  # times the object's own, each as likely
 _PARTICLES = 225
 _OF_A_SIZE, _DRAWS, _STARTS, _SWEEPS = 75, 1500, 150, 2
 _PLACES = 400  # start poses that the prior of what was moved is the density of
 _FURTHER = 4  # copies of no fault where an alarm is due
 _NARROWER, _LEAST_KERNEL_M = 0.5, 0.0003  # kernel of start poses by a view: of their deviation, and at least
+_WIDE_VIEW_M = 0.001  # deviation of a view from which on that density is told by the kernel
 _HOPELESS = 8.0  # nats that a rival is less likely than no fault, from which on it is left out
 
 
@@ -51,7 +56,13 @@ class _FromStarts(Moves):
     """Moves under a prior of start poses that is the density of those that are left open: no view says where it is."""
 
     def _start_prior(self, given: Trajectories) -> Float[Tensor, "N"]:
-        return start_density(given.poses[:, 0], given.starts, given.starts.new_tensor(KERNEL))
+        return start_density(given.poses[:, 0], given.starts, given.starts.new_tensor(MOVED_KERNEL))
+
+    def seen(self, given: Trajectories, start: Float[Tensor, "N D"]) -> Float[Tensor, "N D"]:
+        return start
+
+    def unseen(self, given: Trajectories, seen: Float[Tensor, "N D"]) -> Float[Tensor, "N D"]:
+        return seen
 
 
 class Rival(NamedTuple):
@@ -100,11 +111,12 @@ def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: tor
         return first.at(torch.randint(len(first), (_PARTICLES,), generator=generator))
 
     # of a view that is as exact as its noise start poses are a narrow, slanted cloud, which a kernel makes far too wide
-    wide_view = pose_filter.own.view_off_m >= KERNEL[0]
+    own = pose_filter.own
+    seen = first.starts if first.first is not None else as_it_is(own, _errors(first, generator), first.starts)
     rivals = [_rival(NO_FAULT, 1, usual, again()), _rival("push model off", 1, wide, again())]
     for name, ring in (("hand off", HAND), ("camera off", CAMERA)):
         rival = _rival(name, 1, usual.supposing(moves=_FromStarts), _displaced(first, ring, generator))
-        rivals.append(rival._replace(seen=first.starts if wide_view else None))
+        rivals.append(rival._replace(seen=seen if own.view_off_m >= _WIDE_VIEW_M else None))
     return (*rivals, *_sizes(usual.supposing(own=replace(usual.own, particles=_OF_A_SIZE)), first, generator))
 
 
@@ -182,10 +194,10 @@ def log_none_by(rival: Rival) -> float:
     if rival.seen is None or not len(rival.seen) or not len(now.starts):
         return -math.inf
     start = now.poses[:, 0]
-    spread = (_NARROWER * rival.seen[:, :2].std(0).amax()).clamp(_LEAST_KERNEL_M, KERNEL[0])
-    scale = torch.cat((spread.expand(2), spread.new_tensor(KERNEL[2:])))
+    spread = (_NARROWER * rival.seen[:, :2].std(0).amax()).clamp(_LEAST_KERNEL_M, MOVED_KERNEL[0])
+    scale = torch.cat((spread.expand(2), spread.new_tensor(MOVED_KERNEL[2:])))
     seen = start_density(start, rival.seen, scale) - math.log(len(rival.seen))
-    moved = start_density(start, now.starts, start.new_tensor(KERNEL)) - math.log(len(now.starts))
+    moved = start_density(start, now.starts, start.new_tensor(MOVED_KERNEL)) - math.log(len(now.starts))
     return rival.log_evidence + log_mean(rival.log_weights, seen - moved)
 
 
@@ -237,21 +249,27 @@ def _seen(
     own, model = pose_filter.own, pose_filter.model
     view = first.history.segment(0)
     history = History.empty().appended(view._replace(points=view.points + view.points.new_tensor((0, 0, raised_m))))
-    about = first.poses[:, 0]
+    about = as_seen(own, first.systematic, first.poses[:, 0])
     spread = about.new_tensor([(m, m, rad) for m, rad in SPREADS])
     scale = spread[torch.arange(_DRAWS) % len(spread)]
     rows = torch.randint(len(about), (_DRAWS,), generator=generator)
-    start = about[rows] + scale * normal(scale.shape, generator=generator, dtype=torch.float64)
-    tried = Trajectories.drawn(start, history, generator, systematic=first.systematic[rows])
+    seen, errors = about[rows] + scale * normal(scale.shape, generator=generator, dtype=torch.float64), first.systematic
+    tried = Trajectories.drawn(as_it_is(own, errors[rows], seen), history, generator, systematic=errors[rows])
     tried = tried.replayed(model, own, history, torch.zeros(_DRAWS, dtype=torch.long))
-    proposal = torch.stack([start_density(start, about, one) for one in spread]).logsumexp(0)
+    proposal = torch.stack([start_density(seen, about, one) for one in spread]).logsumexp(0)
     log_weights = tried.log_likelihood.sum(-1) - proposal
-    starts = start[resample_systematic(log_weights, _STARTS, generator=generator)]
+    starts = seen[resample_systematic(log_weights, _STARTS, generator=generator)]
     now = replace(tried.at(resample_systematic(log_weights, own.particles, generator=generator)), starts=starts)
     moves = Moves(model, own, generator)
     for _ in range(_SWEEPS):
         now = moves.sweep(now, history, whole=True)
     return log_mean(torch.zeros_like(log_weights), log_weights), now
+
+
+def _errors(first: Trajectories, generator: torch.Generator) -> Float[Tensor, "Q E"]:
+    """Standard normals of systematic errors for each start pose that is left open, of which a view tells nothing."""
+    shape = len(first.starts), first.systematic.shape[1]
+    return normal(shape, generator=generator, dtype=torch.float64)
 
 
 def _even(count: int) -> Float[Tensor, "N"]:

@@ -15,11 +15,9 @@ from torch import Tensor
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
 
-NUMBERS = 6
-"""Standard normals of a particle: where its tool is taken to be (x, y, yaw), its wear, and its view (x, y)."""
-
-VIEWED = 3
-"""The first of them that count for what a camera sees: wear, and the view."""
+NUMBERS, WEAR, VIEW = 7, 3, 4
+"""Standard normals of a particle: where its tool is taken to be (x, y, yaw), its wear, and its view (x, y, yaw); where
+among them wear is, and where the view begins."""
 
 
 @dataclass(frozen=True)
@@ -30,28 +28,36 @@ class SystematicErrors:
         tool_m: (N, 2), where the tool is taken to be, seen from where it is, along the axes of the true one.
         tool_rad: (N), by which it is taken to be turned.
         worn_m: (N), how much deeper the object's surface lies than its model's.
-        view_m: (N, 2), where what a camera saw is taken to be, seen from where it is, world axes.
+        view_m: (N, 2), where what a camera saw is taken to be, seen from where it is, world axes,
+        view_rad: (N), and by which it is taken to be turned about a point of the world,
+        about_m: (2), which is this.
     """
 
     tool_m: Float[Tensor, "N 2"]
     tool_rad: Float[Tensor, "N"]
     worn_m: Float[Tensor, "N"]
     view_m: Float[Tensor, "N 2"]
+    view_rad: Float[Tensor, "N"]
+    about_m: Float[Tensor, "2"]
 
     @classmethod
-    def of(cls, own: PoseTrajectorySettings, numbers: Float[Tensor, "N 6"]) -> Self:
+    def of(cls, own: PoseTrajectorySettings, numbers: Float[Tensor, "N 7"]) -> Self:
         """Those of standard normals."""
         return cls(
             own.tool_off_m * numbers[:, :2],
             own.tool_off_rad * numbers[:, 2],
-            own.worn[0] + own.worn[1] * numbers[:, 3],
-            own.view_off_m * numbers[:, 4:],
+            own.worn[0] + own.worn[1] * numbers[:, WEAR],
+            own.view_off_m * numbers[:, VIEW : VIEW + 2],
+            own.view_off_rad * numbers[:, VIEW + 2],
+            numbers.new_tensor(own.view_about_m or (0.0, 0.0)),
         )
 
     @property
-    def table(self) -> Float[Tensor, "N 6"]:
-        """All of them in the order of the normals, as the compiled version takes them."""
-        return torch.cat((self.tool_m, self.tool_rad[:, None], self.worn_m[:, None], self.view_m), -1)
+    def table(self) -> Float[Tensor, "N 7"]:
+        """All of them in the order of the normals, as the compiled version takes them, the view turned about 0."""
+        view_m = self.about_m - rotated(self.about_m.expand_as(self.view_m), self.view_rad) + self.view_m
+        turns = self.tool_rad[:, None], self.worn_m[:, None], view_m, self.view_rad[:, None]
+        return torch.cat((self.tool_m, *turns), -1)
 
     def tool(self, taken: Float[Tensor, "3"]) -> Float[Tensor, "N 3"]:
         """Where the tool is, (x, y, yaw), by where it is taken to be."""
@@ -65,4 +71,24 @@ class SystematicErrors:
 
     def seen(self, pose: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
         """Where a camera has the object."""
-        return torch.cat((pose[:, :2] + self.view_m, pose[:, 2:]), -1)
+        place = self.about_m + rotated(pose[:, :2] - self.about_m, self.view_rad) + self.view_m
+        return torch.cat((place, (pose[:, 2] + self.view_rad)[:, None]), -1)
+
+    def unseen(self, seen: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+        """Where the object is by where a camera has it."""
+        place = self.about_m + rotated(seen[:, :2] - self.view_m - self.about_m, -self.view_rad)
+        return torch.cat((place, (seen[:, 2] - self.view_rad)[:, None]), -1)
+
+
+def as_seen(
+    own: PoseTrajectorySettings, numbers: Float[Tensor, "N E"], pose: Float[Tensor, "N D"]
+) -> Float[Tensor, "N D"]:
+    """Where a camera has objects, by standard normals of systematic errors; where they are, if there are none."""
+    return SystematicErrors.of(own, numbers).seen(pose) if numbers.shape[1] else pose
+
+
+def as_it_is(
+    own: PoseTrajectorySettings, numbers: Float[Tensor, "N E"], seen: Float[Tensor, "N D"]
+) -> Float[Tensor, "N D"]:
+    """Where objects are that a camera has there; as `as_seen`."""
+    return SystematicErrors.of(own, numbers).unseen(seen) if numbers.shape[1] else seen

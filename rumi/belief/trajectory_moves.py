@@ -17,13 +17,13 @@ from torch import Tensor
 
 from rumi.belief.pose_trajectories import OWN, PHYSICS, Trajectories
 from rumi.belief.pushed_model import Pushed
-from rumi.belief.systematic_errors import VIEWED, SystematicErrors
+from rumi.belief.systematic_errors import VIEW, WEAR, SystematicErrors, as_it_is, as_seen
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
 from sdf.so3 import wrap
 
-KERNEL = (0.0015, 0.0015, math.radians(2.0))
+KERNEL = (0.0008, 0.0008, math.radians(2.0))
 """Deviations of start poses drawn anew about those that are left open."""
 
 _AFRESH, _SPUN = 0.15, 0.3
@@ -126,27 +126,37 @@ class Moves:
         precision = own.tool_off_m**-2 + (own.view_off_m**-2 if own.view_off_m > 0 else 0.0)
         mean = own.tool_off_m**-2 * rotated(errors.tool_m, yaw)
         if own.view_off_m > 0:
-            mean = mean + own.view_off_m**-2 * errors.view_m
+            mean = mean + own.view_off_m**-2 * rotated(errors.view_m, -errors.view_rad)
         shift = mean / precision + self._normal(mean.shape) / math.sqrt(precision)
         poses, physics = given.poses.clone(), given.physics.clone()
         told = history.shown() if own.view_off_m > 0 else 0
         poses[:, : told + 1, :2] += shift[:, None]
         physics[:, PHYSICS : PHYSICS + 2] -= rotated(shift, -yaw) / own.tool_off_m
         if own.view_off_m > 0:
-            physics[:, PHYSICS + 4 :] -= shift / own.view_off_m
+            view = slice(PHYSICS + VIEW, PHYSICS + VIEW + 2)
+            physics[:, view] -= rotated(shift, errors.view_rad) / own.view_off_m
         proposed = replace(given, poses=poses, physics=physics)
         odds = self._start_prior(proposed) - self._start_prior(given)
         return self.accepted(given, proposed, history, torch.full((len(given),), told), odds)
 
     def erred(self, given: Trajectories, history: History) -> Trajectories:
-        """Systematic errors alone, all of them or one, turned towards a fresh draw; what they change is replayed."""
+        """Systematic errors, all of them or one, turned towards a fresh draw; what they change is replayed.
+
+        The object stays where the view has it, so that where the view alone is off it is not weighed anew.
+        """
         if not given.systematic.shape[1]:
             return given
         angle = 0.5 * math.pi * self._uniform(len(given))[:, None]
         turned = self._turned_in_part(given.systematic, angle)
         proposed = replace(given, physics=torch.cat((given.physics[:, :PHYSICS], turned), -1))
-        of_view = (turned != given.systematic)[:, VIEWED:].any(-1)
-        return self.accepted(given, proposed, history, torch.where(of_view, 0, history.shown()))
+        shown, off = history.shown(), (turned != given.systematic)[:, VIEW:].any(-1)
+        start = self.unseen(proposed, self.seen(given, given.poses[:, 0]))
+        poses = given.poses.clone()
+        poses[:, : shown + 1] = torch.where(off[:, None], start, given.poses[:, 0])[:, None]
+        proposed = replace(proposed, poses=poses)
+        odds = self._start_prior(proposed) - self._start_prior(given)
+        worn = turned[:, WEAR] != given.systematic[:, WEAR]
+        return self.accepted(given, proposed, history, torch.where(worn, 0, shown), odds)
 
     def _turned_in_part(self, numbers: Float[Tensor, "N P"], angle: Float[Tensor, "N 1"]) -> Float[Tensor, "N P"]:
         """Standard normals, all of a particle's or one, turned by an angle towards a fresh draw."""
@@ -173,18 +183,19 @@ class Moves:
         return replace(given, physics=physics, noise=noise)
 
     def restarted(self, given: Trajectories, history: History) -> Trajectories:
-        """Start poses drawn anew about those that the view leaves open."""
+        """Start poses drawn anew about those that the view leaves open, as it has them."""
         rows = (self._uniform(len(given)) < _AFRESH).nonzero()[:, 0]
         if not len(rows):
             return given
         some, many = given.at(rows), len(rows)
         chosen = (self._uniform(many) * len(given.starts)).long().clamp_max(len(given.starts) - 1)
         scale = given.starts.new_tensor(KERNEL)
-        start = given.starts[chosen].clone()
-        start[:, :3] += self._normal((many, 3)) * scale
+        seen = given.starts[chosen].clone()
+        seen[:, :3] += self._normal((many, 3)) * scale
         poses = some.poses.clone()
-        poses[:, 0] = start
-        odds = start_density(some.poses[:, 0], given.starts, scale) - start_density(start, given.starts, scale)
+        poses[:, 0] = self.unseen(some, seen)
+        before = self.seen(some, some.poses[:, 0])
+        odds = start_density(before, given.starts, scale) - start_density(seen, given.starts, scale)
         proposed = replace(some, poses=poses)
         odds = odds + self._start_prior(proposed) - self._start_prior(some)
         first = torch.zeros(many, dtype=torch.long)
@@ -202,6 +213,14 @@ class Moves:
         odds = self._start_prior(proposed) - self._start_prior(some)
         first = torch.zeros(len(rows), dtype=torch.long)
         return given.put(rows, self.accepted(some, proposed, history, first, odds))
+
+    def seen(self, given: Trajectories, start: Float[Tensor, "N D"]) -> Float[Tensor, "N D"]:
+        """Where a camera has start poses, by each particle's systematic errors."""
+        return as_seen(self.settings, given.systematic, start)
+
+    def unseen(self, given: Trajectories, seen: Float[Tensor, "N D"]) -> Float[Tensor, "N D"]:
+        """Start poses by where a camera has them."""
+        return as_it_is(self.settings, given.systematic, seen)
 
     def _start_prior(self, given: Trajectories) -> Float[Tensor, "N"] | float:
         """Log-density of the start poses, up to a constant: even, where a view told of them."""

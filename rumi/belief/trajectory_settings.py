@@ -135,7 +135,10 @@ class PoseTrajectorySettings(Checked):
         worn: mean and deviation of how much deeper the object's surface lies than its model's, in metres.
         height_off: deviations of how high the object's origin is above the floor in space, in metres and as a share of
             the model's: of a worn object, and of another size. None: as these are stated.
-        view_off_m: deviation of where a camera has the object in a run, along each axis.
+        view_off_m, view_off_rad: deviations of where a camera has the object in a run, along each axis, and of the turn
+            about a vertical axis by which all that it sees is off.
+        view_about_m: (x, y) of that axis, metres: of the point that a camera was calibrated by. None for that of a
+            task's own camera, or where nobody knows.
         eye_m: (x, y, z) of a camera that is some way off, world frame, metres: what it sees of an upright object is on
             the side of a wall that faces it. None where nobody knows, so that it may be on either.
         most: points that are kept of a view, of what the tool went through, and of a segment's felt points and pads; of
@@ -212,6 +215,8 @@ class PoseTrajectorySettings(Checked):
     worn: tuple[NotNegative, NotNegative] = (0.0, 0.0)
     height_off: tuple[NotNegative, NotNegative] | None = None
     view_off_m: NotNegative = 0.0
+    view_off_rad: NotNegative = 0.0
+    view_about_m: tuple[float, float] | None = None
     eye_m: Annotated[tuple[float, float, float] | None, _PLACE] = None
     most: tuple[Count, Count, Count, Count] = (500, 250, 60, 120)
 
@@ -235,7 +240,7 @@ class PoseTrajectorySettings(Checked):
     @property
     def systematic(self) -> bool:
         """Whether anything is off by the same in a whole run."""
-        return any((self.tool_off_m, self.tool_off_rad, *self.worn, self.view_off_m))
+        return any((self.tool_off_m, self.tool_off_rad, *self.worn, self.view_off_m, self.view_off_rad))
 
     @property
     def later_share(self) -> float:

@@ -7,6 +7,7 @@ import torch
 
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.systematic_errors import NUMBERS
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import FACING, FACING_M, facing_distance, facing_step_m
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -75,9 +76,15 @@ def test_the_compiled_replay_is_the_plain_one(cup, systematic):
     points = torch.cat((front(60, 0.002), 0.1 * torch.rand(20, 3, generator=random, **DOUBLE) - 0.05))
     kinds = torch.cat((torch.full((60,), int(Kind.SEEN)), torch.full((20,), int(Kind.FREE))))
     history = seen(points, kinds)
-    own = replace(KNOWS, view_off_m=0.002, worn=(0.0005, 0.0003), tool_off_m=0.001) if systematic else KNOWS
+    own = (
+        replace(
+            KNOWS, view_off_m=0.002, view_off_rad=0.01, view_about_m=(0.3, 0.1), worn=(0.0005, 0.0003), tool_off_m=0.001
+        )
+        if systematic
+        else KNOWS
+    )
     start = torch.randn(50, 3, generator=random, **DOUBLE) * torch.tensor([0.003, 0.003, 1.0], **DOUBLE)
-    physics = torch.randn(50, PHYSICS + 6 * systematic, generator=random, **DOUBLE)
+    physics = torch.randn(50, PHYSICS + NUMBERS * systematic, generator=random, **DOUBLE)
     noise = torch.zeros(50, 1, NOISE, **DOUBLE)
     given = Trajectories(physics, noise, start[:, None].repeat(1, 2, 1), start.new_zeros(50, 1), history, start)
     found = []

@@ -9,6 +9,7 @@ import torch
 from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.systematic_errors import NUMBERS
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.trajectory_moves import Moves
@@ -221,9 +222,10 @@ def test_moves_keep_the_posterior_of_motion_and_physics_that_draws_of_the_prior_
     """Of readings drawn from the model: weighted draws of its prior, and after many moves, have the same moments."""
     own = replace(OWN, pad_slope_m=0.001, friction=(0.4, 0.6), friction_change=0.3, lever_ratio=(1.25, 0.3))
     own = replace(own, along=0.03, across=0.03, turn_rad_per_m=0.5, seen_sd_m=0.001, centre_change_m=0.002)
-    own = replace(own, tool_off_m=off_m, view_off_m=off_m)  # by as much as one deviation, each another way
+    # by as much as one deviation, each another way
+    own = replace(own, tool_off_m=off_m, view_off_m=off_m, view_off_rad=4.0 * off_m, view_about_m=(0.0, 0.1))
     random, pose, count = generator(18), torch.zeros(3, **DOUBLE), 40000 if off_m == 0 else 150_000
-    errors = torch.tensor([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0]], **DOUBLE)[:, : 6 * own.systematic]
+    errors = torch.tensor([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0]], **DOUBLE)[:, : NUMBERS * own.systematic]
     seen = torch.tensor([0.0, -off_m, 0.0], **DOUBLE)
     view = drawn_view(model, own, seen, 12, random)
     truth = drawn_truth(pose, random)

@@ -12,6 +12,7 @@ from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.rival_filters import (
+    MOVED_KERNEL,
     NO_FAULT,
     RIVALS,
     Rival,
@@ -27,7 +28,6 @@ from rumi.belief.rival_filters import (
 )
 from rumi.belief.systematic_errors import NUMBERS
 from rumi.belief.trajectory_history import History, Kind, Segment
-from rumi.belief.trajectory_moves import KERNEL
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
@@ -168,7 +168,7 @@ def test_no_fault_by_an_offset_s_own_particles_is_what_it_is_by_the_view(pose_fi
     random = generator(11)
     seen = torch.randn(300, 3, generator=random, **DOUBLE) * torch.tensor([0.0025, 0.0025, 0.03], **DOUBLE)
     moved = seen[torch.randint(300, (400,), generator=random)] + drawn(HAND, 400, random)
-    kernel = torch.tensor(KERNEL, **DOUBLE)
+    kernel = torch.tensor(MOVED_KERNEL, **DOUBLE)
     start = moved[torch.randint(400, (20000,), generator=random)]
     start = start + kernel * torch.randn(20000, 3, generator=random, **DOUBLE)
 
@@ -182,7 +182,9 @@ def test_no_fault_by_an_offset_s_own_particles_is_what_it_is_by_the_view(pose_fi
     # the density of the view: its draws, with a kernel of half their deviation
     width = 0.5 * float(seen[:, :2].std(0).amax())
     view = seen[torch.randint(300, (200000,), generator=random)]
-    view = view + torch.tensor([width, width, KERNEL[2]], **DOUBLE) * torch.randn(200000, 3, generator=random, **DOUBLE)
+    view = view + torch.tensor([width, width, MOVED_KERNEL[2]], **DOUBLE) * torch.randn(
+        200000, 3, generator=random, **DOUBLE
+    )
     expected = float(told(view).logsumexp(0)) - math.log(200000)
     assert log_none_by(rival) == pytest.approx(-1.0 + expected, abs=0.1)
     # however much the marginal likelihood errs by, it is no evidence of the offset

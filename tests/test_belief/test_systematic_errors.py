@@ -9,14 +9,16 @@ import torch
 
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
-from rumi.belief.systematic_errors import NUMBERS, SystematicErrors
+from rumi.belief.systematic_errors import NUMBERS, VIEW, SystematicErrors
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import told_by_silence
 from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.yaw_search import all_round
 from rumi.seeding import generator
+from rumi.sim.sensor_settings import SensorSettings
 from rumi.sim.tool_offset import ToolOffset
+from rumi.sim.view_faults import taken_pose
 from sdf import backend, se3
 from sdf.so3 import wrap
 
@@ -28,6 +30,8 @@ OWN = replace(
     tool_off_rad=0.02,
     worn=(0.001, 0.001),
     view_off_m=0.003,
+    view_off_rad=0.01,
+    view_about_m=(0.1, -0.2),
     missed=0.05,
     dead=0.1,
     least_m=0.001,
@@ -96,6 +100,18 @@ def test_what_is_felt_is_as_far_from_the_object_by_either_pose():
         true = se3.apply(se3.inverse(se3.from_planar(pose[row])), se3.apply(se3.from_planar(tool), point))
         felt = se3.apply(se3.inverse(se3.from_planar(errors.felt(pose, taken)[row])), there)
         torch.testing.assert_close(true, felt, atol=1e-12, rtol=0)
+
+
+def test_a_camera_sees_the_object_where_the_simulator_has_it():
+    """A camera that is taken to be elsewhere, or turned about a point, has the object as much elsewhere."""
+    errors = SystematicErrors.of(OWN, numbers(5))
+    pose = torch.randn(5, 3, generator=generator(5), **DOUBLE)
+    for row, seen in enumerate(errors.seen(pose)):
+        off = se3.from_planar(torch.cat((errors.view_m[row], errors.view_rad[row, None])))
+        target = (*OWN.view_about_m, 0.3)
+        taken = taken_pose(se3.from_planar(pose[row]), off, SensorSettings(), target)  # what moves with the camera
+        torch.testing.assert_close(se3.from_planar(seen), taken, atol=1e-8, rtol=0)
+    torch.testing.assert_close(errors.unseen(errors.seen(pose)), pose, atol=1e-12, rtol=0)
 
 
 def test_the_compiled_replay_is_the_plain_one(model):
@@ -201,14 +217,26 @@ def test_what_is_translated_with_the_tool_and_the_view_fits_as_before(model):
     taken = torch.tensor([0.2, -0.1, 0.05], **DOUBLE)
     there = errors.tool(taken)[:, :2] - before.tool(taken)[:, :2]
     torch.testing.assert_close(there, went[:, 0, :2], atol=1e-12, rtol=0)
-    torch.testing.assert_close(errors.view_m - before.view_m, -went[:, 0, :2], atol=1e-12, rtol=0)
+    shown = errors.seen(after.poses[:, 0]) - before.seen(given.poses[:, 0])
+    torch.testing.assert_close(shown, torch.zeros_like(shown), atol=1e-12, rtol=0)
 
 
-@pytest.mark.parametrize("view_off_m", [0.003, 0.0])
+def test_where_a_view_is_believed_to_be_off_otherwise_the_object_stays_where_it_shows_it(model):
+    history = history_of_a_push()
+    given = replayed(model, OWN, particles(history, 400, numbers(400)))
+    after = Moves(model, OWN, generator(6)).erred(given, history)
+    off = (after.systematic != given.systematic)[:, VIEW:].any(-1)
+    before, errors = (SystematicErrors.of(OWN, part.systematic) for part in (given, after))
+    went = (after.poses - given.poses)[:, 0, :2].norm(dim=-1)
+    assert int(off.sum()) > 40 and float(went[off].median()) > 5e-4 and float(went[~off].max()) == 0.0
+    torch.testing.assert_close(errors.seen(after.poses[:, 0]), before.seen(given.poses[:, 0]), atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("view", [(0.003, 0.01), (0.0, 0.01), (0.003, 0.0), (0.0, 0.0)])
 @pytest.mark.parametrize("move", ["translated", "erred"])
-def test_what_a_move_leaves_out_is_what_it_cannot_change(model, move, view_off_m):
+def test_what_a_move_leaves_out_is_what_it_cannot_change(model, move, view):
     """Poses and likelihoods that moves keep are those of the whole history replayed; views are kept where they can."""
-    history, own = history_of_a_push(), replace(OWN, view_off_m=view_off_m)
+    history, own = history_of_a_push(), replace(OWN, view_off_m=view[0], view_off_rad=view[1])
     given = replayed(model, own, particles(history, 300, numbers(300)))
     moves = Moves(model, own, generator(6))
     after = given

@@ -1,11 +1,7 @@
 """Motion of the object in a task: which filter follows it, by which push model, and what suits the task."""
 
-import math
 from dataclasses import replace
 from typing import cast
-
-from jaxtyping import Float
-from torch import Tensor
 
 from rumi.belief.island_filter import IslandFilter
 from rumi.belief.motion import Motion, PushedMotion
@@ -14,7 +10,6 @@ from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.toppled_object import ToppledObject
-from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
@@ -25,17 +20,12 @@ from rumi.robot.tool import Tool
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.settings import Settings
+from rumi.tasks.rummage.stated_errors import FIRST_PARTICLES, as_accurate, as_inexact
 from sdf.object_model import ObjectModel
 from sdf.primitives import Mug
 from sensors.discrepancy import Discrepancy
 
 _PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects and a level tool; the last of others too
-_NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points draw a thin wall so far to the camera
-_FROM_TARGET_M = 0.17  # of the point that a camera is calibrated by: how far the object may stand off it
-# noise of the motion where shape, balance or hand are not as known, fitted under `lab`: times that of exact ones, and
-# the length that each instant of a push counts as beside its step
-_WIDER, _LEAST_M = 1.5, 0.0015
-_FIRST = 3000  # particles of a first touch
 # push model of plans of guarded moves in space, and what they weigh pushes and reach by
 _CARRIED, _PUSH_SCALE, _REACH_SCALE = "displacement", 1.0, 0.5
 _SHARPNESS = 300.0  # 1/m, of the sensor model that plans of guarded moves in space go by: as sharp as pads are
@@ -132,67 +122,6 @@ def is_planar(spec: TaskSpec) -> bool:
     return spec.search == "SE(2)" and not spec.spatial
 
 
-def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
-    """The widths of sensors and heights with what they are stated to be off by: calibration, tool pose, wear, size.
-
-    Each is drawn once a run: in a random direction, of which one axis counts, or evenly up to a depth, about the model.
-    """
-    worn, size = simulator.build.worn_m / math.sqrt(3.0), simulator.build.scale / math.sqrt(3.0)
-    camera = simulator.sensors.calibration_m / math.sqrt(3.0)
-    own = own.wider(math.hypot(camera, worn), math.hypot(simulator.tool_off_m / math.sqrt(2.0), worn))
-    return _as_sensed(replace(own, height_off=own.height_off or (worn, size)), simulator)
-
-
-def _as_sensed(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
-    """The widths of a sensed motion, and of what is seen, with what their sensors are stated to err by.
-
-    Where nobody knows the camera's place the nearer side of a wall hides the noise of its depth.
-    """
-    stated = simulator.sensors
-    return replace(
-        own,
-        seen_sd_m=math.hypot(own.seen_sd_m, 0.0 if own.eye_m is None else stated.depth_noise_m),
-        moved_m=math.hypot(own.moved_m, stated.motion_noise_m),
-        moved_rad=math.hypot(own.moved_rad, stated.motion_noise_rad),
-    )
-
-
-def as_inexact(
-    own: PoseTrajectorySettings, simulator: SimSettings, bounds: Float[Tensor, "2 3"]
-) -> PoseTrajectorySettings:
-    """The systematic errors of a run, and pads, motion and physics as uncertain, as they are stated to be.
-
-    Calibration and tool pose are off in a random direction, of which one axis counts; wear is even up to a depth; size,
-    friction and centre of mass are even about the model's.
-
-    Args:
-        own: of the belief.
-        simulator: what is stated.
-        bounds: of the object, of which half the mean width turns a share of its size into a length.
-    """
-    build, sensors, pads = simulator.build, simulator.sensors, simulator.pads
-    half_m = 0.25 * float((bounds[1] - bounds[0])[:2].sum())
-    calibration = math.hypot(sensors.calibration_m, _FROM_TARGET_M * sensors.calibration_rad) / math.sqrt(3.0)
-    worn = math.hypot(build.worn_m / math.sqrt(12.0), half_m * build.scale / math.sqrt(3.0))
-    known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
-    wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
-    drawn_near = 0.0 if own.eye_m is not None else _NEARER * sensors.depth_noise_m / math.sqrt(2.0)
-    return replace(
-        _as_sensed(own.freer(wider), simulator),
-        tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
-        tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
-        worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], worn)),
-        view_off_m=math.hypot(own.view_off_m, calibration, drawn_near),
-        first_particles=own.first_particles if known else max(own.first_particles, _FIRST),
-        missed=max(own.missed, pads.missed),
-        dead=max(own.dead, pads.dead),
-        false=max(own.false, pads.false),
-        friction=(own.friction[0], math.hypot(own.friction[1], build.friction / math.sqrt(3.0))),
-        centre_m=math.hypot(own.centre_m, build.com_m / math.sqrt(5.0)),
-        least_m=max(own.least_m, least_m),
-    )
-
-
 def with_eye(spec: TaskSpec, settings: FilterSettings) -> FilterSettings:
     """The settings with the place of a task's camera, where they have none and the object is followed in the plane."""
     own = settings.trajectories
@@ -228,10 +157,10 @@ def trajectory_filter(
     if spec.looks_again:
         settings = replace(settings, trajectories=settings.trajectories.seen_again())
     own, systematic = settings.trajectories, settings.stated_errors != "noise" and is_planar(spec)
-    own = as_inexact(own, simulator, model.sdf.bounds) if systematic else as_accurate(own, simulator)
+    own = as_inexact(own, simulator, model.sdf.bounds, spec.camera) if systematic else as_accurate(own, simulator)
     prior = prior_of(spec, model)
     if is_planar(spec) and prior is not None:
-        own = replace(own, first_particles=max(own.first_particles, _FIRST))
+        own = replace(own, first_particles=max(own.first_particles, FIRST_PARTICLES))
     settings = replace(settings, trajectories=own)
     if is_planar(spec):
         pushed = PushedObject.of(

@@ -7,18 +7,25 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi.belief.systematic_errors import NUMBERS, SystematicErrors
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.errors import UsageError
 from rumi.planning.next_touch import NextTouchPolicy
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.runs.json_settings import changed
+from rumi.seeding import generator
 from rumi.sim.error_settings import PadErrors
+from rumi.sim.sensor_settings import SensorSettings
 from rumi.sim.settings import SimSettings
+from rumi.sim.view_faults import miscalibration, taken_pose
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.entry import ENTRIES
-from rumi.tasks.rummage.motions import as_accurate, as_inexact, planned, with_eye
+from rumi.tasks.rummage.motions import planned, with_eye
+from rumi.tasks.rummage.scene_spec import CameraSpec
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import from_dict, preset, to_dict
+from rumi.tasks.rummage.stated_errors import as_accurate, as_inexact
+from sdf import se3
 
 OWN = PoseTrajectorySettings()
 BOUNDS = torch.tensor([[-0.05, -0.03, 0.0], [0.05, 0.03, 0.1]])
@@ -63,6 +70,31 @@ def test_systematic_errors_have_the_deviations_of_what_is_drawn():
     assert found.across > OWN.across and found.least_m > OWN.least_m
 
 
+@pytest.mark.parametrize("about", ["workspace", "sensor"])
+def test_a_view_is_off_as_a_miscalibrated_camera_has_it(about):
+    """Covariance of where cameras of many runs have an object, wherever it stands."""
+    camera, height_m = CameraSpec(), 0.1
+    sensors = SensorSettings(calibration_m=0.002, calibration_rad=math.radians(1.0), turned_about=about)
+    simulator = replace(SimSettings(), sensors=sensors)
+    own = as_inexact(replace(OWN, eye_m=camera.position), simulator, BOUNDS, camera)
+    eye, random = se3.make(torch.eye(3).double(), torch.tensor(camera.position).double()), generator(3)
+    errors = SystematicErrors.of(own, torch.randn(20000, NUMBERS, generator=random, dtype=torch.float64))
+    offs = torch.stack([miscalibration(sensors, random) for _ in range(4000)]).double()
+    for place in ((0.45, 0.3), (0.3, -0.1), (0.46, 0.0)):
+        taken = torch.stack([taken_pose(eye, off, sensors, camera.target) for off in offs])
+        true = torch.tensor((*place, 0.5 * height_m), dtype=torch.float64)
+        seen = se3.apply(taken @ se3.inverse(eye), true[None, None])[:, 0, :2]
+        pose = torch.tensor((*place, 0.0), dtype=torch.float64).expand(20000, 3)
+        found, expected = torch.cov(errors.seen(pose)[:, :2].T), torch.cov(seen.T)
+        assert found[0, 1].item() == pytest.approx(expected[0, 1].item(), abs=0.06 * float(expected.trace()))
+        torch.testing.assert_close(found.diag(), expected.diag(), rtol=0.1, atol=1e-8)
+    assert as_inexact(OWN, simulator, BOUNDS).view_off_m == 0.0  # nothing is seen
+    unknown = as_inexact(OWN, simulator, BOUNDS, camera)
+    assert (unknown.view_off_rad == 0.0 and unknown.view_off_m > 1.5 * own.view_off_m) or about == "sensor"
+    told = as_inexact(replace(OWN, view_about_m=(1.0, 0.2)), simulator, BOUNDS, camera)
+    assert told.view_about_m == (1.0, 0.2) and told.view_off_rad == own.view_off_rad
+
+
 def test_pads_that_miss_and_feel_falsely_are_believed_to():
     simulator = SimSettings(pads=PadErrors(dead=0.1, missed=0.05, false=0.001))
     found = as_inexact(OWN, simulator, BOUNDS)
@@ -77,11 +109,13 @@ def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
         assert camera is not None
         mugs = OWN.for_mugs()
         own = replace(mugs, eye_m=camera.position)
-        found = as_inexact(own, settings.simulator, agent.model.sdf.bounds)
+        found = as_inexact(own, settings.simulator, agent.model.sdf.bounds, camera)
         assert agent.filter.settings.trajectories == found and found.systematic
         noise_m = settings.simulator.sensors.depth_noise_m
         assert found.seen_sd_m == pytest.approx(math.hypot(OWN.seen_sd_m, noise_m)) and noise_m > 0
-        nearer = as_inexact(mugs, settings.simulator, agent.model.sdf.bounds)  # nobody knows where the camera is
+        nearer = as_inexact(
+            mugs, settings.simulator, agent.model.sdf.bounds, camera
+        )  # nobody knows where the camera is
         assert nearer.seen_sd_m == OWN.seen_sd_m and nearer.view_off_m > found.view_off_m
         assert found.moved_m == pytest.approx(math.hypot(OWN.moved_m, settings.simulator.sensors.motion_noise_m))
         assert found.moved_m > OWN.moved_m and found.moved_rad > OWN.moved_rad
