@@ -101,22 +101,23 @@ def drawn_again(now: Trajectories, model: Pushed, own: PoseTrajectorySettings, r
         own: of the filter.
         random: of the draws.
     """
+    many = DRAWS if now.first is not None else max(AGAIN, own.first_particles)
     if now.first is None:
-        rows = torch.randint(len(now.starts), (AGAIN,), generator=random)
+        rows = torch.randint(len(now.starts), (many,), generator=random)
         seen = now.starts[rows].clone()
-        seen[:, :3] += seen.new_tensor(KERNEL) * normal((AGAIN, 3), generator=random, dtype=torch.float64)
+        seen[:, :3] += seen.new_tensor(KERNEL) * normal((many, 3), generator=random, dtype=torch.float64)
         drawn = _shown(seen, now.history, own, random)
     else:
-        start = from_prior(now.first, AGAIN, random)[:, :3]
-        drawn = Trajectories.drawn(start, now.history, random, systematic=_errors(AGAIN, own, random))
+        start = from_prior(now.first, many, random)[:, :3]
+        drawn = Trajectories.drawn(start, now.history, random, systematic=_errors(many, own, random))
     drawn = replace(drawn, starts=now.starts, log_evidence=now.log_evidence, first=now.first)
     proposal = _log_proposal(drawn, now, own)
     floor = (now.log_likelihood.sum(-1) - _log_proposal(now, now, own)).median() - _BELOW
-    least = floor + proposal + uniform((AGAIN,), generator=random, dtype=torch.float64).log()
+    least = floor + proposal + uniform((many,), generator=random, dtype=torch.float64).log()
     for bound in (least, torch.full_like(least, -math.inf)):  # all are weighed as they are, where none is kept
         tried = drawn
         if len(now.history):
-            tried = drawn.replayed(model, own, now.history, torch.zeros(AGAIN, dtype=torch.long), bound)
+            tried = drawn.replayed(model, own, now.history, torch.zeros(many, dtype=torch.long), bound)
         told = tried.log_likelihood.sum(-1)
         kept, log_weights = told > bound, told - proposal
         if bool(kept.any()):

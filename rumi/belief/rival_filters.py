@@ -76,7 +76,7 @@ class Rival(NamedTuple):
         log_weights: of them.
         log_view: log-likelihood ratio of the first view against no fault.
         seen: start poses by the first view, of one that keeps nothing of it otherwise; None where the view is stated to
-            be off by less than the kernel of their density.
+            be off by so little that a kernel makes no density of them.
     """
 
     name: str
@@ -111,12 +111,14 @@ def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: tor
         return first.at(torch.randint(len(first), (_PARTICLES,), generator=generator))
 
     # of a view that is as exact as its noise start poses are a narrow, slanted cloud, which a kernel makes far too wide
-    own = pose_filter.own
-    seen = first.starts if first.first is not None else as_it_is(own, _errors(first, generator), first.starts)
+    own, starts = pose_filter.own, first.starts
+    seen = starts if first.first is not None else as_it_is(own, _errors(first, generator), starts)
+    apart = first.poses[:, 0, :2].mean(0) - starts.new_tensor(own.view_about_m or (0.0, 0.0))
+    off_m = math.hypot(own.view_off_m, math.sqrt(0.5) * own.view_off_rad * float(apart.norm()))
     rivals = [_rival(NO_FAULT, 1, usual, again()), _rival("push model off", 1, wide, again())]
     for name, ring in (("hand off", HAND), ("camera off", CAMERA)):
         rival = _rival(name, 1, usual.supposing(moves=_FromStarts), _displaced(first, ring, generator))
-        rivals.append(rival._replace(seen=seen if own.view_off_m >= _WIDE_VIEW_M else None))
+        rivals.append(rival._replace(seen=seen if off_m >= _WIDE_VIEW_M else None))
     return (*rivals, *_sizes(usual.supposing(own=replace(usual.own, particles=_OF_A_SIZE)), first, generator))
 
 

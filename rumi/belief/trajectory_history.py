@@ -185,6 +185,11 @@ class History:
         """The segments in which the object may have been pushed."""
         return self.pushes[self.ends - 1].nonzero()[:, 0]
 
+    def pushing_yaw(self) -> float:
+        """Yaw of the tool in the last instant in which it may have pushed; 0 where there is none."""
+        pushing = self.pushes.nonzero()[:, 0]
+        return float(self.tool[pushing[-1], 1, 2]) if len(pushing) else 0.0
+
     def shown(self) -> int:
         """Number of segments at the beginning of which a camera alone told."""
         begins = torch.cat((self.ends.new_zeros(1), self.point_ends[self.ends - 1]))

@@ -122,7 +122,7 @@ class Moves:
         if not own.tool_off_m > 0:
             return given
         errors = SystematicErrors.of(own, given.systematic)
-        yaw = (history.tool[-1, 1, 2] if len(history.tool) else 0.0) - errors.tool_rad
+        yaw = history.pushing_yaw() - errors.tool_rad
         precision = own.tool_off_m**-2 + (own.view_off_m**-2 if own.view_off_m > 0 else 0.0)
         mean = own.tool_off_m**-2 * rotated(errors.tool_m, yaw)
         if own.view_off_m > 0:
@@ -149,14 +149,15 @@ class Moves:
         angle = 0.5 * math.pi * self._uniform(len(given))[:, None]
         turned = self._turned_in_part(given.systematic, angle)
         proposed = replace(given, physics=torch.cat((given.physics[:, :PHYSICS], turned), -1))
-        shown, off = history.shown(), (turned != given.systematic)[:, VIEW:].any(-1)
-        start = self.unseen(proposed, self.seen(given, given.poses[:, 0]))
-        poses = given.poses.clone()
-        poses[:, : shown + 1] = torch.where(off[:, None], start, given.poses[:, 0])[:, None]
-        proposed = replace(proposed, poses=poses)
+        changed, shown, before = turned != given.systematic, history.shown(), given.poses[:, 0]
+        off, again = changed[:, VIEW:].any(-1), changed[:, WEAR]
+        if shown:
+            start = torch.where(off[:, None], self.unseen(proposed, self.seen(given, before)), before)
+            poses = given.poses.clone()
+            poses[:, : shown + 1] = start[:, None]
+            proposed, again = replace(proposed, poses=poses), again | (off & (start == before).all(-1))
         odds = self._start_prior(proposed) - self._start_prior(given)
-        worn = turned[:, WEAR] != given.systematic[:, WEAR]
-        return self.accepted(given, proposed, history, torch.where(worn, 0, shown), odds)
+        return self.accepted(given, proposed, history, torch.where(again, 0, shown), odds)
 
     def _turned_in_part(self, numbers: Float[Tensor, "N P"], angle: Float[Tensor, "N 1"]) -> Float[Tensor, "N P"]:
         """Standard normals, all of a particle's or one, turned by an angle towards a fresh draw."""

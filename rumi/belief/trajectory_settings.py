@@ -34,6 +34,7 @@ _MUGS: dict[str, Any] = {
     "turn_rad_per_m": 0.6,
 }
 _NATS = Law("to be 0 or 1e-6 nats at least", lambda nats: not 0 < nats < 1e-6)
+_ABOUT = Law("as two finite numbers (x, y)", lambda about: about is None or all(map(math.isfinite, about)))
 _PLACE = Law(
     "as three finite numbers (x, y, z)",
     lambda place: place is None or (len(place) == 3 and all(map(math.isfinite, place))),
@@ -140,7 +141,8 @@ class PoseTrajectorySettings(Checked):
         view_about_m: (x, y) of that axis, metres: of the point that a camera was calibrated by. None for that of a
             task's own camera, or where nobody knows.
         eye_m: (x, y, z) of a camera that is some way off, world frame, metres: what it sees of an upright object is on
-            the side of a wall that faces it. None where nobody knows, so that it may be on either.
+            the side of a wall that faces it. None where nobody knows, so that it may be on either. A task's own camera,
+            where this is its place, is known by the point that it was calibrated by, too.
         most: points that are kept of a view, of what the tool went through, and of a segment's felt points and pads; of
             a view that is worth less than the first as much less, free ones too.
     """
@@ -216,7 +218,7 @@ class PoseTrajectorySettings(Checked):
     height_off: tuple[NotNegative, NotNegative] | None = None
     view_off_m: NotNegative = 0.0
     view_off_rad: NotNegative = 0.0
-    view_about_m: tuple[float, float] | None = None
+    view_about_m: Annotated[tuple[float, float] | None, _ABOUT] = None
     eye_m: Annotated[tuple[float, float, float] | None, _PLACE] = None
     most: tuple[Count, Count, Count, Count] = (500, 250, 60, 120)
 

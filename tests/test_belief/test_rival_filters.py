@@ -104,8 +104,10 @@ def test_what_was_moved_begins_at_its_distance_and_keeps_nothing_of_the_view(pos
     off = pose_filter.supposing(own=replace(SENSED, view_off_m=0.0024))
     first = believed(1.0)
     first = replace(first, physics=torch.cat((first.physics, torch.zeros(60, NUMBERS, **DOUBLE)), -1))
-    kept = [rival.seen is not None for rival in begun(off, first, generator(5)) if rival.name == name]
-    assert kept and all(kept)
+    turned = pose_filter.supposing(own=replace(SENSED, view_off_rad=0.01, view_about_m=(0.3, 0.0)))
+    for one in (off, turned):
+        kept = [rival.seen is not None for rival in begun(one, first, generator(5)) if rival.name == name]
+        assert kept and all(kept)
     far = torch.cat([rival.now.pose[:, :2].norm(dim=-1) for rival in some])
     assert float(far.median()) == pytest.approx(middle, rel=0.15)
 

@@ -9,6 +9,7 @@ import torch
 
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.rival_filters import _FromStarts
 from rumi.belief.systematic_errors import NUMBERS, VIEW, SystematicErrors
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import told_by_silence
@@ -203,7 +204,9 @@ def test_a_search_all_round_finds_the_yaw_that_registration_missed(model):
 def test_what_is_translated_with_the_tool_and_the_view_fits_as_before(model):
     """Object, tool and view go together, so that no reading of a tool that does not turn tells of it."""
     history = history_of_a_push()
-    history = replace(history, tool=history.tool + torch.tensor([0.0, 0.0, 0.05]) * (history.tool[..., 2:] == 0))
+    yaw = torch.tensor([0.0, 0.0, 2.0]) + torch.tensor([0.0, 0.0, 0.05]) * (history.tool[..., 2:] == 0)
+    history = replace(history, tool=history.tool + yaw)
+    history = history.appended(sensed(torch.zeros(1, 2, 3, **DOUBLE), (Kind.SEEN,), pushes=False, seed=5))
     own = replace(OWN, tool_off_rad=0.0)
     given = replayed(model, own, particles(history, 400, numbers(400)))
     after = Moves(model, own, generator(6)).translated(given, history)
@@ -214,7 +217,7 @@ def test_what_is_translated_with_the_tool_and_the_view_fits_as_before(model):
     torch.testing.assert_close(went[:, -1], went[:, 0], atol=1e-6, rtol=0)  # the push is the same
     torch.testing.assert_close(after.log_likelihood, given.log_likelihood, atol=2e-3, rtol=2e-4)
     before, errors = (SystematicErrors.of(own, part.systematic) for part in (given, after))
-    taken = torch.tensor([0.2, -0.1, 0.05], **DOUBLE)
+    taken = torch.tensor([0.2, -0.1, 2.05], **DOUBLE)
     there = errors.tool(taken)[:, :2] - before.tool(taken)[:, :2]
     torch.testing.assert_close(there, went[:, 0, :2], atol=1e-12, rtol=0)
     shown = errors.seen(after.poses[:, 0]) - before.seen(given.poses[:, 0])
@@ -230,6 +233,24 @@ def test_where_a_view_is_believed_to_be_off_otherwise_the_object_stays_where_it_
     went = (after.poses - given.poses)[:, 0, :2].norm(dim=-1)
     assert int(off.sum()) > 40 and float(went[off].median()) > 5e-4 and float(went[~off].max()) == 0.0
     torch.testing.assert_close(errors.seen(after.poses[:, 0]), before.seen(given.poses[:, 0]), atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("begins", ["view", "views", "free", "push"])
+@pytest.mark.parametrize("moves", [Moves, _FromStarts])
+def test_what_errors_change_is_weighed_anew_however_the_history_begins(model, moves, begins):
+    """Also where start poses have a prior of their own, and stay where they are whatever the view is off by."""
+    whole = history_of_a_push()
+    parts = {"view": (0, 1, 2, 3), "views": (0, 0, 1, 2, 3), "free": (1, 2, 3), "push": (2, 3)}
+    history = History.empty()
+    for number in parts[begins]:
+        history = history.appended(whole.segment(number), opens=number < 3)
+    given = replace(particles(history, 300, numbers(300)), starts=torch.zeros(5, 3, **DOUBLE))
+    given = replayed(model, OWN, given)
+    after = moves(model, OWN, generator(6)).erred(given, history)
+    assert float((after.systematic != given.systematic).any(-1).double().mean()) > 0.1
+    again = replayed(model, OWN, after)
+    torch.testing.assert_close(after.poses, again.poses, atol=1e-6, rtol=0)
+    torch.testing.assert_close(after.log_likelihood, again.log_likelihood, atol=2e-3, rtol=2e-4)
 
 
 @pytest.mark.parametrize("view", [(0.003, 0.01), (0.0, 0.01), (0.003, 0.0), (0.0, 0.0)])

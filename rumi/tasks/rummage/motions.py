@@ -20,12 +20,13 @@ from rumi.robot.tool import Tool
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.settings import Settings
-from rumi.tasks.rummage.stated_errors import FIRST_PARTICLES, as_accurate, as_inexact
+from rumi.tasks.rummage.stated_errors import as_accurate, as_inexact
 from sdf.object_model import ObjectModel
 from sdf.primitives import Mug
 from sensors.discrepancy import Discrepancy
 
 _PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects and a level tool; the last of others too
+_FIRST_BY_PRIOR = 3000  # particles of a first touch where no view shows the object
 # push model of plans of guarded moves in space, and what they weigh pushes and reach by
 _CARRIED, _PUSH_SCALE, _REACH_SCALE = "displacement", 1.0, 0.5
 _SHARPNESS = 300.0  # 1/m, of the sensor model that plans of guarded moves in space go by: as sharp as pads are
@@ -160,7 +161,7 @@ def trajectory_filter(
     own = as_inexact(own, simulator, model.sdf.bounds, spec.camera) if systematic else as_accurate(own, simulator)
     prior = prior_of(spec, model)
     if is_planar(spec) and prior is not None:
-        own = replace(own, first_particles=max(own.first_particles, FIRST_PARTICLES))
+        own = replace(own, first_particles=max(own.first_particles, _FIRST_BY_PRIOR))
     settings = replace(settings, trajectories=own)
     if is_planar(spec):
         pushed = PushedObject.of(

@@ -7,18 +7,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.errors import UsageError
 from rumi.sim.sensor_settings import SensorSettings
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.scene_spec import CameraSpec
-
-FIRST_PARTICLES = 1000
-"""Particles of a first touch."""
 
 _FROM_TARGET_M = 0.17  # of the point that a camera is calibrated by: how far the object may stand off it
 _NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points draw a thin wall so far to the camera
 # noise of the motion where shape, balance or hand are not as known, fitted under `lab`: times that of exact ones, and
 # the length that each instant of a push counts as beside its step
 _WIDER, _LEAST_M = 1.5, 0.0015
+_FIRST = 1000  # particles of a first touch
 
 
 def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
@@ -66,15 +65,15 @@ def as_inexact(
     known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
     wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
     drawn_near = 0.0 if own.eye_m is not None else _NEARER * sensors.depth_noise_m / math.sqrt(2.0)
-    own = replace(own, view_off_m=math.hypot(own.view_off_m, drawn_near))
     if camera is not None:
+        own = replace(own, view_off_m=math.hypot(own.view_off_m, drawn_near))
         own = _as_calibrated(own, sensors, camera, 0.5 * float(bounds[1, 2] - bounds[0, 2]))
     return replace(
         _as_sensed(own.freer(wider), simulator),
         tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
         tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
         worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], worn)),
-        first_particles=own.first_particles if known else max(own.first_particles, FIRST_PARTICLES),
+        first_particles=own.first_particles if known else max(own.first_particles, _FIRST),
         missed=max(own.missed, pads.missed),
         dead=max(own.dead, pads.dead),
         false=max(own.false, pads.false),
@@ -94,6 +93,8 @@ def _as_calibrated(
     axis lifts or lowers are left as they are. A task knows its camera; where nobody knows that point the object is
     taken to stand some way off it in any direction.
     """
+    if own.view_off_rad > 0 and own.view_about_m is None:
+        raise UsageError("Expected --filter.trajectories.view-about-m with view-off-rad, got none: about which point?")
     shift, turn = sensors.calibration_m / math.sqrt(3.0), sensors.calibration_rad / math.sqrt(3.0)
     if own.view_about_m is None and own.eye_m != camera.position:
         return replace(own, view_off_m=math.hypot(own.view_off_m, shift, _FROM_TARGET_M * turn))

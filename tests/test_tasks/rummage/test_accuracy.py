@@ -90,9 +90,14 @@ def test_a_view_is_off_as_a_miscalibrated_camera_has_it(about):
         torch.testing.assert_close(found.diag(), expected.diag(), rtol=0.1, atol=1e-8)
     assert as_inexact(OWN, simulator, BOUNDS).view_off_m == 0.0  # nothing is seen
     unknown = as_inexact(OWN, simulator, BOUNDS, camera)
-    assert (unknown.view_off_rad == 0.0 and unknown.view_off_m > 1.5 * own.view_off_m) or about == "sensor"
+    off_m = math.hypot(0.002, 0.17 * math.radians(1.0)) / math.sqrt(3.0)
+    assert unknown.view_off_rad == 0.0 and unknown.view_off_m == pytest.approx(off_m)
     told = as_inexact(replace(OWN, view_about_m=(1.0, 0.2)), simulator, BOUNDS, camera)
     assert told.view_about_m == (1.0, 0.2) and told.view_off_rad == own.view_off_rad
+    with pytest.raises(UsageError, match="about which point"):
+        as_inexact(replace(OWN, view_off_rad=0.01), simulator, BOUNDS, camera)
+    with pytest.raises(ValueError, match="two finite numbers"):
+        replace(OWN, view_about_m=(math.nan, 0.0))
 
 
 def test_pads_that_miss_and_feel_falsely_are_believed_to():
@@ -113,9 +118,8 @@ def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
         assert agent.filter.settings.trajectories == found and found.systematic
         noise_m = settings.simulator.sensors.depth_noise_m
         assert found.seen_sd_m == pytest.approx(math.hypot(OWN.seen_sd_m, noise_m)) and noise_m > 0
-        nearer = as_inexact(
-            mugs, settings.simulator, agent.model.sdf.bounds, camera
-        )  # nobody knows where the camera is
+        # nobody knows where the camera is
+        nearer = as_inexact(mugs, settings.simulator, agent.model.sdf.bounds, camera)
         assert nearer.seen_sd_m == OWN.seen_sd_m and nearer.view_off_m > found.view_off_m
         assert found.moved_m == pytest.approx(math.hypot(OWN.moved_m, settings.simulator.sensors.motion_noise_m))
         assert found.moved_m > OWN.moved_m and found.moved_rad > OWN.moved_rad
