@@ -84,6 +84,45 @@ def test_a_first_touch_is_met_by_more_particles_where_starts_are_known(model, st
     assert bool(torch.isfinite(after.world_T_object).all())
 
 
+@pytest.mark.parametrize("looks", [False, True])
+@pytest.mark.parametrize("first_particles", [0, 200])
+def test_particles_move_from_their_start_once_an_action_when_all_was_sensed(model, monkeypatch, first_particles, looks):
+    """After the view, where a camera looks after the touch; a first touch's many particles wait for it."""
+    followed = follow(model, first_particles=first_particles, tool_off_m=0.001, view_off_m=0.001)
+    belief, memory = begin(followed)
+    reading, wall = felt_by(0 * PUSH, PUSH, model), torch.linspace(-0.05, 0.05, 12)
+    if looks:
+        seen = Observation.of(torch.stack((0.04 + 0 * wall, wall, 0 * wall + 0.03), -1), Semantics.SURFACE)
+        when = torch.cat((reading.instant, torch.full((len(seen),), len(PUSH) - 1)))
+        reading = replace(reading, observation=concatenate([reading.observation, seen]), instant=when)
+    sweep, whole = Moves.sweep, []
+
+    def noted(self, given, history, **options):
+        if options["whole"]:
+            whole.append((len(given), int(history.kind[-1]) == Kind.SEEN))
+        return sweep(self, given, history, **options)
+
+    monkeypatch.setattr(Moves, "sweep", noted)
+    after, _, info = followed(belief, memory, reading, generator=generator(1))
+    assert whole == [(OWN.particles, looks)] and bool(info.resampled)
+    assert len(after.trajectories) == OWN.particles and math.isfinite(after.trajectories.log_evidence)
+
+
+def test_what_is_seen_of_what_rests_weighs_particles_and_moves_none(model):
+    """Where their weights stay even enough; an action that it closes moves them, and keeps these weights."""
+    followed = follow(model, view_off_m=0.001)
+    belief, _ = begin(followed)
+    now, even = followed.particles_of(belief)
+    view = now.history.segment(0)
+    view = view._replace(weight=0.05 * view.weight)
+    rested, weights, resampled = followed._weighed(now, even, view, generator(1))
+    closed, kept, again = followed._weighed(now, even, view, generator(1), closes=True)
+    assert not resampled and not again and float(weights.std()) > 0
+    assert torch.equal(rested.poses[:, 0], now.poses[:, 0]) and not torch.equal(closed.poses[:, 0], now.poses[:, 0])
+    torch.testing.assert_close(kept, weights, atol=0, rtol=0)
+    assert rested.log_evidence == closed.log_evidence
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_the_filter_follows_a_push_that_nothing_measures(model, dtype):
     followed = follow(model, dtype)
