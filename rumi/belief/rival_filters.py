@@ -111,8 +111,10 @@ def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: tor
         return first.at(torch.randint(len(first), (_PARTICLES,), generator=generator))
 
     # of a view that is as exact as its noise start poses are a narrow, slanted cloud, which a kernel makes far too wide
-    own, starts = pose_filter.own, first.starts
-    seen = starts if first.first is not None else as_it_is(own, _errors(first, generator), starts)
+    own, starts, seen = pose_filter.own, first.starts, first.starts
+    if first.first is None:  # of a view's errors it tells nothing itself
+        errors = normal((len(starts), first.systematic.shape[1]), generator=generator, dtype=torch.float64)
+        seen = as_it_is(own, errors, starts)
     apart = first.poses[:, 0, :2].mean(0) - starts.new_tensor(own.view_about_m or (0.0, 0.0))
     off_m = math.hypot(own.view_off_m, math.sqrt(0.5) * own.view_off_rad * float(apart.norm()))
     rivals = [_rival(NO_FAULT, 1, usual, again()), _rival("push model off", 1, wide, again())]
@@ -266,12 +268,6 @@ def _seen(
     for _ in range(_SWEEPS):
         now = moves.sweep(now, history, whole=True)
     return log_mean(torch.zeros_like(log_weights), log_weights), now
-
-
-def _errors(first: Trajectories, generator: torch.Generator) -> Float[Tensor, "Q E"]:
-    """Standard normals of systematic errors for each start pose that is left open, of which a view tells nothing."""
-    shape = len(first.starts), first.systematic.shape[1]
-    return normal(shape, generator=generator, dtype=torch.float64)
 
 
 def _even(count: int) -> Float[Tensor, "N"]:
