@@ -69,6 +69,8 @@ class PoseTrajectorySettings(Checked):
         lag: pushed segments, from the last on, whose noise is still moved by itself.
         memory: segments beyond which the older half is forgotten: the particles then stand for it as they are, and
             neither start poses nor physics move any more.
+        replicates: times that the last action is taken in once more, by other draws, where a belief would be sure
+            enough to stop; all their particles are pooled, since a few may be sure of what others deny.
         rounds: of Metropolis moves once readings count in full; one at every stage of tempering before.
         tool_spacing_m: between the points of the tool's border that push an upright object: where they are far apart, a
             handle's bar sinks in between two, and is pushed along a wrong normal.
@@ -159,6 +161,7 @@ class PoseTrajectorySettings(Checked):
     instants: Count = 5
     lag: Count = 10
     memory: Count = 80
+    replicates: CountOr0 = 0
     rounds: Count = 2
     tool_spacing_m: Positive = 0.002
     friction: tuple[Positive, NotNegative] = (0.45, 0.3)

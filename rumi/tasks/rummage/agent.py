@@ -17,6 +17,7 @@ from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import ReinitialiseSettings, redraw, verify
 from rumi.belief.remarks import Remark, remarks
+from rumi.belief.replicates import pooled
 from rumi.clock import Clock
 from rumi.dynamics.outline import Base, base_of
 from rumi.dynamics.push_posterior import PushPosterior
@@ -207,11 +208,15 @@ class Rummager:
                 belief = redraw(self.filter, belief, memory, self.renewal, generator=random["renewal"])
         done = (control, state.plan, bool(info.resampled))
         record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
-        if record.converged and unseen and self.renewal.challenge:
-            clock.put_back(record.timings_s)
+        if record.converged:
             with clock("belief"):
-                belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
-            record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
+                pool = pooled(pose_filter, last.belief, result.reading, belief, generator=random["filter"])
+                if unseen and self.renewal.challenge:
+                    pool = verify(self.filter, pool, memory, self.renewal, generator=random["renewal"])
+            if pool is not belief:
+                belief = pool
+                clock.put_back(record.timings_s)
+                record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
         now, alarm = state.watch, None
         if self.remarks:
             said = {remark.name for step in state.history for remark in step.remarks}
