@@ -59,3 +59,13 @@ def test_replicates_that_agree_leave_the_belief_about_as_it_was(model):
     found = pooled(followed, belief, reading, after, generator=generator(2))
     apart = (found.mean() - after.mean())[:2, 3].norm()
     assert float(apart) < 0.002 and bool(torch.isfinite(found.world_T_object).all())
+
+
+@pytest.mark.parametrize(("replicates", "particles"), [(100, 60), (3, 1), (2, 2)])
+def test_a_pool_has_as_many_particles_as_the_belief_had(model, replicates, particles):
+    followed = follow(model, replicates=replicates, particles=particles)
+    belief, memory = begin(followed)
+    reading = felt_by(0 * PUSH, PUSH, model)
+    after, _, _ = followed(belief, memory, reading, generator=generator(1))
+    found = pooled(followed, belief, reading, after, generator=generator(2))
+    assert len(found.log_weights) == particles and bool(torch.isfinite(found.world_T_object).all())
