@@ -6,8 +6,6 @@ not (island particles; Verge, Dubarry, Del Moral and Moulines 2015), so that a b
 several.
 """
 
-from dataclasses import replace
-
 import torch
 
 from rumi.belief.particles import PoseBelief
@@ -26,8 +24,8 @@ def pooled(
 ) -> PoseBelief:
     """The belief after an action, pooled in equal shares with replicates of that update, as many particles as it had.
 
-    Their particles are weighed as those of the first by its history, whose points were chosen by its own. A belief that
-    is not of one population of trajectories, or that the action told nothing, stays as it is.
+    All count by the history of the first, whose points were chosen by its particles. A belief that is not of one
+    population of trajectories, or that the action told nothing, stays as it is.
 
     Args:
         pose_filter: that took the reading in.
@@ -45,16 +43,13 @@ def pooled(
         done = pose_filter.advanced(*begun, reading, random)
         other = done.now.remembered(own.memory)
         if done.changed and len(other.history) == len(now.history):
-            other = replace(other, history=now.history)
-            first = torch.zeros(len(other), dtype=torch.long)
-            parts.append((other.replayed(pose_filter.model, own, now.history, first), done.log_weights))
+            parts.append((other, done.log_weights))
     if len(parts) == 1:
         return after
-    share = [count // len(parts) + (place < count % len(parts)) for place in range(len(parts))]
     some = [
-        part.at(resample_systematic(weights, many, generator=random))
-        for (part, weights), many in zip(parts, share, strict=True)
+        part.at(resample_systematic(weights, count // len(parts) + (place < count % len(parts)), generator=random))
+        for place, (part, weights) in enumerate(parts)
     ]
-    together = some[0].joined(*some[1:])
-    even = normalise(torch.zeros(count, dtype=torch.float64))
-    return pose_filter.belief_of(together, even, after.world_T_attached, after.log_weights)
+    first, even = torch.zeros(count, dtype=torch.long), normalise(torch.zeros(count, dtype=torch.float64))
+    pool = some[0].joined(*some[1:]).replayed(pose_filter.model, own, now.history, first)
+    return pose_filter.belief_of(pool, even, after.world_T_attached, after.log_weights)
