@@ -84,15 +84,18 @@ class BootstrapFilter(PoseTrajectoryFilter):
         search: Search = "SE(2)",
     ) -> None:
         super().__init__(settings, discrepancy, model, prior, search)
+        self.own = replace(self.own, memory=min(self.own.memory, _REMEMBERED))
         self.shown = SHOWN
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
         """Draws of the prior."""
-        random = lone(generator)
-        drawn = Trajectories.drawn(
-            from_prior(self.prior, self.own.unseen_particles, random), History.empty(4), random, apart=True
-        )
+        drawn = self.drawn(lone(generator))
         return self.belief_of(drawn, _even(drawn), belief.world_T_attached, belief.log_weights)
+
+    def drawn(self, random: torch.Generator) -> Trajectories:
+        """As many particles of the prior as there may be, equally weighted."""
+        start = from_prior(self.prior, self.own.unseen_particles, random)
+        return Trajectories.drawn(start, History.empty(4), random, apart=True)
 
     @torch.no_grad()
     def begun_again(self, belief: BootstrapBelief, reading: Reading, *, generator: Generators) -> PoseBelief:
@@ -116,7 +119,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
         self, now: Trajectories, log_weights: Tensor, world_T_attached: Tensor, like: Tensor
     ) -> PoseTrajectoryBelief:
         """The belief of particles, of which some stand for all."""
-        now = now.remembered(_REMEMBERED)
+        now = now.remembered(self.own.memory)
         shown = now.at(systematic(log_weights, 0.5, min(self.shown, len(now))))
         few = super().belief_of(shown, _even(shown), world_T_attached, like)
         return BootstrapBelief(

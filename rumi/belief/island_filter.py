@@ -127,6 +127,11 @@ class IslandFilter(BootstrapFilter):
         evidence = [self.particles_of(island)[0].log_evidence for island in islands]
         return normalise(self.evidence_power * torch.tensor(evidence, dtype=torch.float64))
 
+    def log_evidence(self, belief: PoseBelief) -> float:
+        """Log marginal likelihood of all readings: the mean over the populations' estimates of it."""
+        each = torch.tensor([self.particles_of(island)[0].log_evidence for island in islands_of(belief)])
+        return float(each.double().logsumexp(0)) - math.log(len(each))
+
     def log_chance(self, belief: PoseBelief) -> float:
         """Log of a bound on the p-value of all readings at the best particle of any population."""
         return max(super(IslandFilter, self).log_chance(island) for island in islands_of(belief))

@@ -13,7 +13,7 @@ over the belief and a copy of it: the mean of unbiased estimates is one (pseudo-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from jaxtyping import Float
@@ -42,11 +42,15 @@ NO_FAULT = "no fault"
 MOVED_KERNEL = (0.0015, 0.0015, math.radians(2.0))
 """Kernel of the density of start poses that a fault moved: metres, metres, radians."""
 
-_SIZES = (0.93, 0.965, 1.035, 1.07)  # times the object's own, each as likely
+SIZES = (0.93, 0.965, 1.035, 1.07)
+"""Other sizes of an object, times its own, each as likely."""
+
+FURTHER = 4
+"""Copies of no fault where an alarm is due."""
+
 _PARTICLES = 225
 _OF_A_SIZE, _DRAWS, _STARTS, _SWEEPS = 75, 1500, 150, 2
 _PLACES = 400  # start poses that the prior of what was moved is the density of
-_FURTHER = 4  # copies of no fault where an alarm is due
 _NARROWER, _LEAST_KERNEL_M = 0.5, 0.0003  # kernel of start poses by a view: of their deviation, and at least
 _WIDE_VIEW_M = 0.001  # deviation of a view from which on that density is told by the kernel
 _HOPELESS = 8.0  # nats that a rival is less likely than no fault, from which on it is left out
@@ -87,6 +91,13 @@ class Rival(NamedTuple):
     log_view: float
     seen: Float[Tensor, "Q D"] | None = None
 
+    @classmethod
+    def of(
+        cls, name: str, beliefs: int, pose_filter: PoseTrajectoryFilter, now: Trajectories, log_view: float = 0.0
+    ) -> Self:
+        """One of so many equally likely beliefs of a name, by particles that are equally weighted."""
+        return cls(name, -math.log(beliefs), pose_filter, now, _even(len(now)), log_view)
+
     @property
     def log_evidence(self) -> float:
         """Of all readings, against no fault's of the first view alone."""
@@ -117,9 +128,9 @@ def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: tor
         seen = as_it_is(own, errors, starts)
     apart = first.poses[:, 0, :2].mean(0) - starts.new_tensor(own.view_about_m or (0.0, 0.0))
     off_m = math.hypot(own.view_off_m, math.sqrt(0.5) * own.view_off_rad * float(apart.norm()))
-    rivals = [_rival(NO_FAULT, 1, usual, again()), _rival("push model off", 1, wide, again())]
+    rivals = [Rival.of(NO_FAULT, 1, usual, again()), Rival.of("push model off", 1, wide, again())]
     for name, ring in (("hand off", HAND), ("camera off", CAMERA)):
-        rival = _rival(name, 1, usual.supposing(moves=_FromStarts), _displaced(first, ring, generator))
+        rival = Rival.of(name, 1, usual.supposing(moves=_FromStarts), _displaced(first, ring, generator))
         rivals.append(rival._replace(seen=seen if off_m >= _WIDE_VIEW_M else None))
     return (*rivals, *_sizes(usual.supposing(own=replace(usual.own, particles=_OF_A_SIZE)), first, generator))
 
@@ -138,23 +149,17 @@ def doubted(
     """
     usual = pose_filter.supposing(own=replace(pose_filter.own, first_particles=0))
     copies: tuple[Rival, ...] = ()
-    for _ in range(_FURTHER):
+    for _ in range(FURTHER):
         now = first.at(torch.randint(len(first), (pose_filter.own.particles,), generator=generator))
-        copies = (*copies, _rival(NO_FAULT, 1, usual, now))
+        copies = (*copies, Rival.of(NO_FAULT, 1, usual, now))
     for reading in readings:
         copies = followed(copies, reading, generator)
     return copies
 
 
 def is_asked_again(rivals: Sequence[Rival]) -> bool:
-    """Whether there are further copies of no fault among them."""
-    return sum(rival.name == NO_FAULT for rival in rivals) > 1
-
-
-def _rival(
-    name: str, beliefs: int, pose_filter: PoseTrajectoryFilter, now: Trajectories, log_view: float = 0.0
-) -> Rival:
-    return Rival(name, -math.log(beliefs), pose_filter, now, _even(len(now)), log_view)
+    """Whether some of them are copies of one: beliefs by the same filter."""
+    return len({id(rival.pose_filter) for rival in rivals}) < len(rivals)
 
 
 @torch.no_grad()
@@ -236,10 +241,10 @@ def _sizes(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: to
         return ()
     usual, _ = _seen(pose_filter, first, 0.0, generator)
     found = []
-    for factor in _SIZES:
+    for factor in SIZES:
         other = pose_filter.supposing(model=model.resized(factor))
         seen, now = _seen(other, first, model.resting_m - other.model.resting_m, generator)
-        found.append(_rival("another size", len(_SIZES), other, now, seen - usual))
+        found.append(Rival.of("another size", len(SIZES), other, now, seen - usual))
     return left(found, 0.0)
 
 

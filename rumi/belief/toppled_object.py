@@ -87,11 +87,20 @@ class ToppledObject:
         """
         pads, tool = shape.pad_shell(pad_spacing_m).double(), shape.surface(spacing_m).double()
         reported = pads + felt_ahead_m * shape.pad_normals(pads)
-        radius = float(sdf.bounds.double().abs().amax(0).norm())
-        reach = radius + float(tool[:, :2].norm(dim=-1).max())
+        reach = _radius(sdf) + float(tool[:, :2].norm(dim=-1).max())
         rests = RestingPoses.of(sdf, ways, symmetries)
         found = cls(sdf, rests, len(ways), _grouped(tool), pads, reported, reach, _UNFITTED if wide is None else wide)
         return replace(found, wide=_WITH_CARE) if wide is None and found.unsteady else found
+
+    def resized(self, factor: float) -> Self:
+        """The same tool and an object in another size, of which distances are tabulated."""
+        from sdf.grid_sdf import GridSDF
+
+        if not isinstance(self.sdf, GridSDF):
+            raise TypeError(f"Expected an object whose distances are tabulated, got {type(self.sdf).__name__}")
+        sdf, rests = self.sdf.resized(factor), self.rests.resized(factor)
+        reach_m = self.reach_m + (factor - 1.0) * _radius(self.sdf)
+        return replace(self, sdf=sdf, rests=rests, reach_m=reach_m)
 
     @functools.cached_property
     def arrays(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
@@ -108,7 +117,7 @@ class ToppledObject:
     @property
     def extent_m(self) -> tuple[float, float, float]:
         """How far its surface is from its place sideways, and how low and how high, at most."""
-        far = float(self.sdf.bounds.double().abs().amax(0).norm())
+        far = _radius(self.sdf)
         return far, 0.0, far + float(self.rests.height_m.max())
 
     @property
@@ -269,6 +278,11 @@ def _replay_numba(
         grid_arguments(model.sdf, torch.float32),
     )
     return poses, logs
+
+
+def _radius(sdf: SDF) -> float:
+    """Greatest distance of an object's bounds from its origin."""
+    return float(sdf.bounds.double().abs().amax(0).norm())
 
 
 def _grouped(points: Float[Tensor, "n 3"]) -> Float[Tensor, "m 3"]:

@@ -6,7 +6,7 @@ to edge until it rests again (Goldberg and others, "Part pose statistics", 1999,
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import torch
@@ -100,6 +100,13 @@ class RestingPoses:
         centres = torch.stack([(one @ mass)[:2] for one in turn])
         spread = [_spread(one, surface, centre) for one, centre in zip(turn, centres, strict=True)]
         return cls(turn, heights, centres, torch.tensor(spread, dtype=torch.float64), _padded(edges))
+
+    def resized(self, factor: float) -> Self:
+        """The same shape in another size."""
+        edges, lengths = self.edges, self.edges.change.new_tensor((factor, factor, 1.0))
+        edges = edges._replace(point=factor * edges.point, change=lengths * edges.change)
+        height_m, centre, spread_m = factor * self.height_m, factor * self.centre, factor * self.spread_m
+        return replace(self, height_m=height_m, centre=centre, spread_m=spread_m, edges=edges)
 
     def world_T_object(self, planar: Float[Tensor, "*b 3"], lying: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 4 4"]:
         """Poses of objects.

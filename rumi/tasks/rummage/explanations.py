@@ -60,6 +60,13 @@ _FAULTY = 0.2  # share of runs with a fault, for what is told alone: no alarm ha
 _SURE = 0.95  # share of one of hand and camera in what both have, from which on it is named alone
 
 
+def static_of(pose_filter: PoseFilter) -> Mapping[str, float]:
+    """Those of a run by a filter that hold from the first view on, with prior shares; in space a size alone."""
+    if isinstance(pose_filter, IslandFilter):
+        return {"another size": STATIC["another size"]}
+    return STATIC if follows(pose_filter) else {}
+
+
 def follows(pose_filter: PoseFilter) -> TypeGuard[PoseTrajectoryFilter]:
     """Whether particles have trajectories of their own, of an upright object."""
     return isinstance(pose_filter, PoseTrajectoryFilter) and not isinstance(pose_filter, IslandFilter)
@@ -74,7 +81,7 @@ def faults_of(pose_filter: PoseFilter) -> Mapping[str, float]:
 
 def all_faults_of(pose_filter: PoseFilter) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Names of all that a run by a filter may be lost by, those from the first view on last, and prior shares."""
-    shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
+    shares = [*faults_of(pose_filter).items(), *static_of(pose_filter).items()]
     return tuple(name for name, _ in shares), tuple(share for _, share in shares)
 
 

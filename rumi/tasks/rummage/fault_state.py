@@ -7,7 +7,9 @@ from rumi.belief.change_test import ChangeEvidence
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.rival_filters import RIVALS, Rival
 
-_DOUBT = 1.0  # nats
+DOUBT = 1.0
+"""Nats against no fault so far, above which a run is not sure."""
+
 _BESIDE_M = 0.002  # a last contact this far off says that something is wrong, though little of what
 
 
@@ -27,7 +29,7 @@ class Watch:
             alarm that of the alarm, until the next.
         named: the fault of the last alarm, or of the last word.
         following: filter that the run goes on by since an alarm; None for its own.
-        adopted: the rival that was right, by the last alarm.
+        adopted: the rival that was right, by the last alarm, and its copies; none where that was no rival's.
         rivals: beliefs under faults that hold from the first view on; None before they are asked, none once all were
             given up.
         static: log-likelihood ratio of all readings so far of each such fault.
@@ -45,7 +47,7 @@ class Watch:
     explanations: Mapping[str, float] = field(default_factory=dict)
     named: str | None = None
     following: PoseTrajectoryFilter | None = None
-    adopted: Rival | None = None
+    adopted: tuple[Rival, ...] = ()
     rivals: tuple[Rival, ...] | None = None
     static: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(RIVALS, 0.0))
     beside_m: float = 0.0
@@ -59,7 +61,7 @@ class Watch:
                 f"the object may lie otherwise than any pose believed ({self.unseated!r} was remarked), and nothing "
                 "measures how: look again, measure its motion, or push it lower (--tool-height)"
             )
-        if self.evidence is not None and self.nats > _DOUBT:
+        if self.evidence is not None and self.nats > DOUBT:
             return "the last readings fit a fault better than the belief"
         if self.beside_m > _BESIDE_M:
             return f"what was felt last is {1e3 * self.beside_m:.0f} mm beside every pose that is believed"

@@ -8,11 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief import island_faults, rival_filters, stuck_hand, trajectory_faults
+from rumi.belief import island_faults, island_rivals, rival_filters, stuck_hand, trajectory_faults
 from rumi.belief.change_test import ChangeTest
 from rumi.belief.island_filter import IslandBelief, IslandFilter
 from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
+from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
@@ -29,8 +30,9 @@ from rumi.tasks.rummage.explanations import (
     chances_by_name,
     follows,
     named,
+    static_of,
 )
-from rumi.tasks.rummage.fault_state import Watch
+from rumi.tasks.rummage.fault_state import DOUBT, Watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, attach
 from sensors.reading import Reading
@@ -38,7 +40,8 @@ from sensors.reading import Reading
 _CLEAR, _WAITS = 0.7, 2  # probability from which on an alarm is named at once, and actions that it waits for it
 _TELLS = 1.0  # nats
 _FALSE_TOUCH = "false touch"  # remark by a step whose reading was left out
-_STRAINED = -5.0  # nats of all readings so far, from which on faults from the first view on are asked about
+# nats of all readings so far, from which on faults from the first view on are asked about: upright, and in space
+_STRAINED, _STRAINED_IN_SPACE = -5.0, -65.0
 
 SLIDES: tuple[Motion, ...] = ("pushed", "corrected", "trajectory")
 """Motions by a push model, of an object that slides and stays as it stands."""
@@ -117,10 +120,11 @@ def watch(
     of_action, repeated = _ratios(steps, pose_filter, model, own, generator, looks_again)
     strange = own.recover and _is_strange(of_action, names, record, pose_filter)
     rivals, static = before.rivals, before.static
-    if follows(pose_filter) and open_yet and not strange:
+    if static_of(pose_filter) and open_yet and not strange:
         rivals, static = _rivals(before, record, history, pose_filter, generator)
     ratios = _all_ratios(before, of_action, static, names)
-    due = bool(test.alarm(test.update(evidence, ratios)))
+    enough = DOUBT if isinstance(pose_filter, IslandFilter) else test.threshold
+    due = float(test.log_evidence(test.update(evidence, ratios))) >= enough
     if due and open_yet and not strange and rivals and not rival_filters.is_asked_again(rivals):
         rivals, static = _asked_again(rivals, record, history, pose_filter, generator)
         ratios = _all_ratios(before, of_action, static, names)
@@ -183,23 +187,38 @@ def _rivals(
     before: Watch,
     record: StepRecord,
     history: Sequence[StepRecord],
-    pose_filter: PoseTrajectoryFilter,
+    pose_filter: PoseFilter,
     generator: torch.Generator,
 ) -> tuple[tuple[Rival, ...] | None, Mapping[str, float]]:
     """Rivals that have taken the reading in, and what they say; begun where the readings so far are unlikely enough."""
-    belief, rivals, readings = record.belief, before.rivals, [record.reading]
-    assert isinstance(belief, PoseTrajectoryBelief) and belief.trajectories is not None
-    none = belief.trajectories.log_evidence
+    assert isinstance(pose_filter, PoseTrajectoryFilter)
+    none, rivals, readings = _log_evidence(record.belief, pose_filter), before.rivals, [record.reading]
     if rivals is None:
-        first = history[0].belief if history else None
-        if none > _STRAINED or not isinstance(first, PoseTrajectoryBelief) or first.trajectories is None:
+        if not history or none > (_STRAINED if follows(pose_filter) else _STRAINED_IN_SPACE):
             return None, before.static
-        rivals = rival_filters.begun(pose_filter, first.trajectories, generator)
+        if isinstance(pose_filter, IslandFilter):
+            rivals = island_rivals.begun(pose_filter, generator)
+        else:
+            first, _ = pose_filter.particles_of(history[0].belief)
+            rivals = rival_filters.begun(pose_filter, first, generator)
         readings = _taken_in(history, record)
     for reading in readings:
         rivals = rival_filters.followed(rivals, reading, generator)
     rivals = rival_filters.left(rivals, rival_filters.log_none(rivals, none))
-    return rivals, rival_filters.log_ratios(rivals, none)
+    return rivals, _static(rivals, none, pose_filter)
+
+
+def _static(rivals: Sequence[Rival], none: float, pose_filter: PoseTrajectoryFilter) -> Mapping[str, float]:
+    """Log-likelihood ratio of all readings, of each fault that holds from the first view on."""
+    own = island_rivals if isinstance(pose_filter, IslandFilter) else rival_filters
+    return own.log_ratios(rivals, none)
+
+
+def _log_evidence(belief: PoseBelief, pose_filter: PoseTrajectoryFilter) -> float:
+    """Log marginal likelihood of all readings, by the belief that a run goes by."""
+    if isinstance(pose_filter, IslandFilter):
+        return pose_filter.log_evidence(belief)
+    return pose_filter.particles_of(belief)[0].log_evidence
 
 
 def _taken_in(history: Sequence[StepRecord], record: StepRecord) -> list[Reading]:
@@ -230,21 +249,21 @@ def _asked_again(
     pose_filter: PoseFilter,
     generator: torch.Generator,
 ) -> tuple[tuple[Rival, ...], Mapping[str, float]]:
-    """Rivals with further copies of no fault, where an alarm is due, and what they say then."""
-    first, here = history[0].belief, record.belief
-    assert follows(pose_filter)
-    assert isinstance(first, PoseTrajectoryBelief) and first.trajectories is not None
-    assert isinstance(here, PoseTrajectoryBelief) and here.trajectories is not None
+    """Rivals with further copies, where an alarm is due or in space a run would not be sure, and what they say then."""
+    assert isinstance(pose_filter, PoseTrajectoryFilter)
     readings = _taken_in(history, record)
-    copies = rival_filters.doubted(pose_filter, first.trajectories, readings, generator)
-    rivals, none = (*rivals, *copies), here.trajectories.log_evidence
-    return rivals, rival_filters.log_ratios(rivals, none)
+    if isinstance(pose_filter, IslandFilter):
+        rivals = island_rivals.doubted(pose_filter, rivals, readings, generator)
+    else:
+        first, _ = pose_filter.particles_of(history[0].belief)
+        rivals = (*rivals, *rival_filters.doubted(pose_filter, first, readings, generator))
+    return rivals, _static(rivals, _log_evidence(record.belief, pose_filter), pose_filter)
 
 
 def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
     """What is known after an alarm, with the filter and the belief that the run goes on by."""
-    told_by = replace(told_by, adopted=None)
-    if not follows(pose_filter):
+    told_by = replace(told_by, adopted=())
+    if not isinstance(pose_filter, PoseTrajectoryFilter):
         return told_by
     if told_by.named == "push model off":
         return replace(told_by, following=pose_filter.doubting())
@@ -255,7 +274,8 @@ def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
     following = told_by.following
     if told_by.named == "another size":
         following = best.pose_filter.supposing(own=pose_filter.own)
-    return replace(told_by, adopted=best, following=following, rivals=None)
+    alike = tuple(rival for rival in some if rival.pose_filter is best.pose_filter)
+    return replace(told_by, adopted=alike, following=following, rivals=None)
 
 
 def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRecord:

@@ -1,6 +1,7 @@
 """The search that begins anew after an alarm: what the fault makes false is dropped, not averaged."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -57,17 +58,18 @@ def searched_again(
     named = now.named
     if named in _STRANGE or now.set_aside:
         return last.belief, before
+    here = record.belief
+    if now.adopted:
+        assert isinstance(pose_filter, PoseTrajectoryFilter) and isinstance(here, PoseTrajectoryBelief)
+        return _adopted(now.adopted, now.following or pose_filter, here), memory
     if isinstance(pose_filter, IslandFilter):
         if named == "knocked":  # some of its particles jump in each action, all where none fits
             return record.belief, memory
         begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)
         return begun, memory[(~memory.attached).nonzero()[:, 0]]
-    here = record.belief
     anew: PoseBelief | None = None
     if follows(pose_filter):
         assert isinstance(last.belief, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)
-        if now.adopted is not None:
-            return _adopted(now.adopted, now.following or pose_filter, here), memory
         if named == "push model off":
             return pushed_anew(pose_filter.doubting(), last.belief, record.reading, before, generator=generator)
         anew = begun_again(pose_filter, last.belief, here, own, generator=generator)
@@ -88,8 +90,11 @@ def searched_again(
     return pose_filter.begin(kept, memory, generator=generator), memory
 
 
-def _adopted(rival: Rival, pose_filter: PoseTrajectoryFilter, like: PoseTrajectoryBelief) -> PoseBelief:
-    """The belief of a rival, with as many particles as another and in its frame."""
-    count = len(like.log_weights)
+def _adopted(rivals: Sequence[Rival], pose_filter: PoseTrajectoryFilter, like: PoseTrajectoryBelief) -> PoseBelief:
+    """The belief of a rival in the frame of another: with as many particles; or in space, by all of its populations."""
+    frame, count = like.world_T_attached, len(like.log_weights)
+    if isinstance(pose_filter, IslandFilter):
+        each = [pose_filter.belief_of(one.now, one.log_weights, frame, like.log_weights) for one in rivals]
+        return pose_filter.mixture(each)
     even = torch.full((count,), -math.log(count), dtype=torch.float64)
-    return pose_filter.belief_of(adopted(rival, count), even, like.world_T_attached, like.log_weights)
+    return pose_filter.belief_of(adopted(rivals[0], count), even, frame, like.log_weights)

@@ -16,7 +16,16 @@ from rumi.belief.remarks import Remark
 from rumi.belief.rival_filters import Rival
 from rumi.tasks.rummage import lost
 from rumi.tasks.rummage.entry import ENTRIES, Rummaging, ending
-from rumi.tasks.rummage.explanations import HAND_OR_CAMERA, IN_SPACE, NOTHING_FELT, PRIOR, SEARCHED, STATIC, named
+from rumi.tasks.rummage.explanations import (
+    HAND_OR_CAMERA,
+    IN_SPACE,
+    NOTHING_FELT,
+    PRIOR,
+    SEARCHED,
+    STATIC,
+    all_faults_of,
+    named,
+)
 from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.lost import told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
@@ -151,6 +160,7 @@ def test_an_alarm_by_a_rival_is_asked_again(model, pose_filter, monkeypatch, aga
         return (asked,), dict.fromkeys(STATIC, -math.inf) | {"hand off": nats}
 
     monkeypatch.setattr(lost, "follows", lambda _: True)
+    monkeypatch.setattr(lost, "static_of", lambda _: STATIC)
     monkeypatch.setattr(lost, "all_faults_of", lambda _: ALL)
     monkeypatch.setattr(lost, "_ratios", lambda *_: (torch.zeros(len(PRIOR), dtype=torch.float64), 0.0))
     monkeypatch.setattr(lost, "_rivals", lambda *_: told(20.0))
@@ -161,10 +171,34 @@ def test_an_alarm_by_a_rival_is_asked_again(model, pose_filter, monkeypatch, aga
     assert remark is None or remark.name == "lost: hand off"
 
 
+@pytest.mark.parametrize(("nats", "asked"), [(4.0, False), (8.0, True)])
+def test_in_space_a_size_is_asked_again_as_soon_as_a_run_is_not_sure(pose_filter, model, monkeypatch, nats, asked):
+    """Of a size by as many nats: enough for a doubt, and for no alarm."""
+    names, shares = all_faults_of(pose_filter)
+    called = list[int]()
+
+    def again(rivals, *_):
+        called.append(1)
+        return rivals, {"another size": 0.0}
+
+    rival = Rival("another size", 0.0, None, None, torch.zeros(1), 0.0)
+    monkeypatch.setattr(lost, "IslandFilter", type(pose_filter))
+    monkeypatch.setattr(lost, "static_of", lambda _: {"another size": 0.1})
+    monkeypatch.setattr(lost, "_is_strange", lambda *_: False)
+    monkeypatch.setattr(lost, "all_faults_of", lambda _: ((*names, "another size"), (*shares, 0.1)))
+    monkeypatch.setattr(lost, "_ratios", lambda *_: (torch.zeros(len(names), dtype=torch.float64), 0.0))
+    monkeypatch.setattr(lost, "_rivals", lambda *_: ((rival,), {"another size": nats - 1.0}))
+    monkeypatch.setattr(lost, "_asked_again", again)
+    [(now, _, remark)] = followed(model, pose_filter, [step(model, 1, 0.0)])
+    assert bool(called) == asked and remark is None
+    assert now.static["another size"] == (0.0 if asked else nats - 1.0)
+
+
 def test_a_reading_with_a_false_touch_that_is_no_fault_is_left_out_and_told(model, pose_filter, monkeypatch):
     ratios = torch.zeros(len(PRIOR), dtype=torch.float64)
     ratios[list(PRIOR).index("false contacts")] = 3.0
     monkeypatch.setattr(lost, "follows", lambda _: True)
+    monkeypatch.setattr(lost, "static_of", lambda _: STATIC)
     monkeypatch.setattr(lost, "all_faults_of", lambda _: ALL)
     monkeypatch.setattr(lost, "_ratios", lambda *_: (ratios, 0.0))
     monkeypatch.setattr(lost, "_rivals", lambda *_: (None, dict.fromkeys(STATIC, 0.0)))
