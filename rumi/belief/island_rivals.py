@@ -13,6 +13,7 @@ import torch
 from rumi.belief import rival_filters
 from rumi.belief.island_filter import IslandFilter
 from rumi.belief.rival_filters import FURTHER, NO_FAULT, SIZES, Rival, followed
+from sdf.grid_sdf import GridSDF
 from sensors.reading import Reading
 
 POWER = 0.5
@@ -20,12 +21,14 @@ POWER = 0.5
 
 
 def begun(pose_filter: IslandFilter, generator: torch.Generator) -> tuple[Rival, ...]:
-    """A population of each other size, before the first reading.
+    """A population of each other size, before the first reading; none of an object whose distances are not tabulated.
 
     Args:
         pose_filter: of no fault.
         generator: of the draws.
     """
+    if not isinstance(pose_filter.model.sdf, GridSDF):
+        return ()
     others = [pose_filter.supposing(model=pose_filter.model.resized(factor)) for factor in SIZES]
     return tuple(Rival.of("another size", len(SIZES), other, other.drawn(generator)) for other in others)
 

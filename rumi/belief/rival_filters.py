@@ -162,6 +162,12 @@ def is_asked_again(rivals: Sequence[Rival]) -> bool:
     return len({id(rival.pose_filter) for rival in rivals}) < len(rivals)
 
 
+def likeliest(rivals: Sequence[Rival]) -> list[Rival]:
+    """The likeliest of some rivals, with its copies; where any has copies one of these: one alone may be lucky."""
+    alike = [[one for one in rivals if one.pose_filter is rival.pose_filter] for rival in rivals]
+    return max(alike, key=lambda some: (len(some), max(one.log_evidence for one in some)))
+
+
 @torch.no_grad()
 def followed(rivals: Sequence[Rival], reading: Reading, generator: torch.Generator) -> tuple[Rival, ...]:
     """The rivals after an action."""

@@ -50,7 +50,7 @@ def after(pose_filter, readings, seed=1):
     return belief, rivals
 
 
-def test_rivals_are_a_population_of_each_size(pose_filter):
+def test_rivals_are_a_population_of_each_size(box, pose_filter):
     rivals = begun(pose_filter, generator(1))
     assert [rival.name for rival in rivals] == ["another size"] * len(SIZES)
     assert [len(rival.now) for rival in rivals] == [pose_filter.own.unseen_particles] * len(SIZES)
@@ -58,6 +58,8 @@ def test_rivals_are_a_population_of_each_size(pose_filter):
         [rival.pose_filter.model.rests.height_m / pose_filter.model.rests.height_m for rival in rivals]
     )
     torch.testing.assert_close(heights, torch.tensor(SIZES, **DOUBLE)[:, None].expand_as(heights))
+    exact = pose_filter.supposing(model=replace(pose_filter.model, sdf=resized(box.exact, 1.0)))
+    assert begun(exact, generator(1)) == () == left(begun(exact, generator(1)), 0.0)
     assert not is_asked_again(rivals) and all(rival.log_evidence == -math.log(len(SIZES)) for rival in rivals)
 
 

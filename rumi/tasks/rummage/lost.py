@@ -270,12 +270,10 @@ def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
     some = [rival for rival in told_by.rivals or () if rival.name == told_by.named]
     if not some or told_by.named not in ("another size", "camera off"):
         return told_by
-    best = max(some, key=lambda rival: rival.log_evidence)
-    following = told_by.following
+    alike, following = rival_filters.likeliest(some), told_by.following
     if told_by.named == "another size":
-        following = best.pose_filter.supposing(own=pose_filter.own)
-    alike = tuple(rival for rival in some if rival.pose_filter is best.pose_filter)
-    return replace(told_by, adopted=alike, following=following, rivals=None)
+        following = alike[0].pose_filter.supposing(own=pose_filter.own)
+    return replace(told_by, adopted=tuple(alike), following=following, rivals=None)
 
 
 def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRecord:

@@ -80,7 +80,8 @@ def test_in_space_a_run_goes_on_by_all_populations_of_the_likeliest_size():
     islands = follow(box, prior, IslandFilter, unseen_particles=90, islands=3)
     usual, (other, *rest) = begin(islands, prior)[0], island_rivals.begun(islands, generator(1))
     alike = tuple(other._replace(log_view=9.0 - number) for number in range(3))
-    now = lost._going_on(Watch(named="another size", rivals=(*rest, *alike)), islands)
+    luckier = rest[0]._replace(log_view=20.0)  # alone, and so by its draws
+    now = lost._going_on(Watch(named="another size", rivals=(luckier, *rest[1:], *alike)), islands)
     assert now.adopted == alike and now.rivals is None and now.following is not None
     assert now.following.model is other.pose_filter.model
     record = replace(make_up(2, particles=2).steps[1], belief=usual)
