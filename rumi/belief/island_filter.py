@@ -129,8 +129,8 @@ class IslandFilter(BootstrapFilter):
 
     def log_evidence(self, belief: PoseBelief) -> float:
         """Log marginal likelihood of all readings: the mean over the populations' estimates of it."""
-        each = torch.tensor([self.particles_of(island)[0].log_evidence for island in islands_of(belief)])
-        return float(each.double().logsumexp(0)) - math.log(len(each))
+        each = [self.particles_of(island)[0].log_evidence for island in islands_of(belief)]
+        return float(torch.tensor(each, dtype=torch.float64).logsumexp(0)) - math.log(len(each))
 
     def log_chance(self, belief: PoseBelief) -> float:
         """Log of a bound on the p-value of all readings at the best particle of any population."""
