@@ -305,6 +305,17 @@ class GridSDF(Sized):
         return SDFQuery(distance, _vectors(gradient))
 
 
+def tabulated(sdf: SDF) -> GridSDF:
+    """The same, known to be a table.
+
+    Raises:
+        TypeError: it is none.
+    """
+    if not isinstance(sdf, GridSDF):
+        raise TypeError(f"Expected an object whose distances are tabulated, got {type(sdf).__name__}")
+    return sdf
+
+
 def takes(sdf: SDF, *tensors: Tensor) -> TypeGuard[GridSDF]:
     """Whether compiled look-ups apply: the SDF is a table, not too large, and the tensors are of one float type."""
     return isinstance(sdf, GridSDF) and sdf.values.numel() <= _MOST_NODES and len({t.dtype for t in tensors}) == 1

@@ -1,9 +1,9 @@
 """Rivals of islands: an object that may topple in other sizes, each size a population of a filter of its own.
 
 What rivals are `rumi.belief.rival_filters` has. Estimates of the evidence in space differ by 5 to 20 nats where nothing
-but the draws does (`rumi.belief.island_filter`), so that a power of their ratio counts. Where an alarm would be due the
-likeliest size has new populations, as many as the belief, and no fault further ones: all of a belief may have lost
-where the object is.
+but the draws does (`rumi.belief.island_filter`), so that a power of their ratio counts. Where a run would not be sure
+by it the likeliest size has new populations, as many as the belief, and no fault further ones: all of a belief may have
+lost where the object is.
 """
 
 from collections.abc import Mapping, Sequence

@@ -178,6 +178,10 @@ class PoseTrajectoryFilter(PoseFilter):
             resampled |= again
         return Advanced(now, log_weights, touched, spans, rides, resampled, touched or still is not None)
 
+    def log_evidence(self, belief: PoseBelief) -> float:
+        """Log marginal likelihood of all readings so far."""
+        return self.particles_of(belief)[0].log_evidence
+
     def log_chance(self, belief: PoseBelief) -> float:
         """Log of a bound on the p-value of all readings at the best particle."""
         if not isinstance(belief, PoseTrajectoryBelief) or belief.trajectories is None:
@@ -220,13 +224,7 @@ class PoseTrajectoryFilter(PoseFilter):
     ) -> tuple[Trajectories, list[int]]:
         """Particles, equally weighted, after an action with contact, and how long its segments are; none if anew.
 
-        Args:
-            now: the particles.
-            log_weights: of them.
-            reading: of the action.
-            path: of the tool.
-            random: of the draws.
-            closes: whether nothing further tells of the action: no camera has looked after it.
+        It `closes` where nothing further tells of the action: no camera has looked after it.
         """
         felt, spans = felt_pads(reading, self.model, self.own), list[int]()
         if self.own.first_particles > len(now) and len(now.starts) and not len(now.history.moving()):

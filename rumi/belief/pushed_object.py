@@ -85,11 +85,9 @@ class PushedObject:
 
     def resized(self, factor: float) -> Self:
         """The same tool and an object in another size, of which distances are tabulated."""
-        from sdf.grid_sdf import GridSDF
+        from sdf.grid_sdf import tabulated
 
-        if not isinstance(self.sdf, GridSDF):
-            raise TypeError(f"Expected an object whose distances are tabulated, got {type(self.sdf).__name__}")
-        sdf, resting_m = self.sdf.resized(factor), factor * self.resting_m
+        sdf, resting_m = tabulated(self.sdf).resized(factor), factor * self.resting_m
         outline = GridOutline.of_slice(sdf, self.height_m - resting_m).to(self.centre)
         centre, spread_m = factor * self.centre, factor * self.spread_m
         return replace(self, sdf=sdf, resting_m=resting_m, outline=outline, centre=centre, spread_m=spread_m)

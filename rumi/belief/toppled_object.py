@@ -94,11 +94,9 @@ class ToppledObject:
 
     def resized(self, factor: float) -> Self:
         """The same tool and an object in another size, of which distances are tabulated."""
-        from sdf.grid_sdf import GridSDF
+        from sdf.grid_sdf import tabulated
 
-        if not isinstance(self.sdf, GridSDF):
-            raise TypeError(f"Expected an object whose distances are tabulated, got {type(self.sdf).__name__}")
-        sdf, rests = self.sdf.resized(factor), self.rests.resized(factor)
+        sdf, rests = tabulated(self.sdf).resized(factor), self.rests.resized(factor)
         reach_m = self.reach_m + (factor - 1.0) * _radius(self.sdf)
         return replace(self, sdf=sdf, rests=rests, reach_m=reach_m)
 
@@ -108,11 +106,10 @@ class ToppledObject:
 
         Points by coordinate, and extents of their groups by number; the box's corners.
         """
-        from sdf.grid_sdf import GridSDF
+        from sdf.grid_sdf import tabulated
 
-        assert isinstance(self.sdf, GridSDF)
         tool = arrays_of((self.tool.T.float().flatten(), _extents(self.tool).float().flatten()))
-        return tool, self.sdf.box_of().float().flatten().numpy()
+        return tool, tabulated(self.sdf).box_of().float().flatten().numpy()
 
     @property
     def extent_m(self) -> tuple[float, float, float]:

@@ -13,7 +13,6 @@ from rumi.belief.change_test import ChangeTest
 from rumi.belief.island_filter import IslandBelief, IslandFilter
 from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
-from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
@@ -192,7 +191,7 @@ def _rivals(
 ) -> tuple[tuple[Rival, ...] | None, Mapping[str, float]]:
     """Rivals that have taken the reading in, and what they say; begun where the readings so far are unlikely enough."""
     assert isinstance(pose_filter, PoseTrajectoryFilter)
-    none, rivals, readings = _log_evidence(record.belief, pose_filter), before.rivals, [record.reading]
+    none, rivals, readings = pose_filter.log_evidence(record.belief), before.rivals, [record.reading]
     if rivals is None:
         if not history or none > (_STRAINED if follows(pose_filter) else _STRAINED_IN_SPACE):
             return None, before.static
@@ -212,13 +211,6 @@ def _static(rivals: Sequence[Rival], none: float, pose_filter: PoseTrajectoryFil
     """Log-likelihood ratio of all readings, of each fault that holds from the first view on."""
     own = island_rivals if isinstance(pose_filter, IslandFilter) else rival_filters
     return own.log_ratios(rivals, none)
-
-
-def _log_evidence(belief: PoseBelief, pose_filter: PoseTrajectoryFilter) -> float:
-    """Log marginal likelihood of all readings, by the belief that a run goes by."""
-    if isinstance(pose_filter, IslandFilter):
-        return pose_filter.log_evidence(belief)
-    return pose_filter.particles_of(belief)[0].log_evidence
 
 
 def _taken_in(history: Sequence[StepRecord], record: StepRecord) -> list[Reading]:
@@ -257,7 +249,7 @@ def _asked_again(
     else:
         first, _ = pose_filter.particles_of(history[0].belief)
         rivals = (*rivals, *rival_filters.doubted(pose_filter, first, readings, generator))
-    return rivals, _static(rivals, _log_evidence(record.belief, pose_filter), pose_filter)
+    return rivals, _static(rivals, pose_filter.log_evidence(record.belief), pose_filter)
 
 
 def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
