@@ -14,6 +14,7 @@ import numba
 
 from sdf import compiled, kernel_cache
 from sdf.kernel_cache import SEASON_S
+from sdf.part_numba import indices
 
 SOURCE = """
 from sdf.compiled import Kernel
@@ -118,7 +119,8 @@ def test_where_files_cannot_be_locked_each_compiles_and_leaves_nothing_open(monk
 
 
 def _twice(values, part):
-    values[0] *= 2.0
+    for index in indices(part, len(values)):
+        values[index] *= 2.0
 
 
 def test_what_nobody_reads_is_removed_and_what_is_read_stays(cache):
