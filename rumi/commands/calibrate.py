@@ -22,6 +22,7 @@ from rumi.metrics.calibration import (
     chance_error,
     checked,
     covered,
+    fitted_odds,
     rank_test,
 )
 from rumi.records import StepRecord
@@ -164,6 +165,10 @@ def report(name: str, lines: Sequence[Mapping[str, Any]]) -> str:
         f"P(right)   expected calibration error {calibration_error(p_right, right):.3f}, by chance alone "
         f"{chance_error(p_right, groups=looks(lines)):.3f}; of {len(sure)} with {_SURE} or more {sum(sure)} right"
     )
+    fitted = fitted_odds(p_right, right, groups=[episode for episode, _ in looks(lines)])
+    if fitted is not None:
+        between = f"({fitted.low:.2f} to {fitted.high:.2f})"
+        out.append(f"{'':<11}odds of being right are {fitted.ratio:.2f} {between} times its own")
     tests = {coordinate: rank_test(own) for coordinate, own in last_ranks(lines).items()}
     said = ", ".join(f"{coordinate} {value:.2g}" for coordinate, value in tests.items())
     few = "" if len(lines) >= 50 else " (too few episodes to tell)"

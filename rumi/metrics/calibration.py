@@ -27,6 +27,7 @@ _M, _RAD = 1e-3, math.radians(1.5)  # that count as equal distances where place 
 _SAME = 1e-6  # metres or radians by which a coordinate that is held does not differ
 _COORDINATES = ("x", "y", "z", "turn x", "turn y", "turn z")
 _DRAWS = 200  # of who is right by chance
+_LEAST, _MOST_NATS, _HALVES = 1e-3, 30.0, 60  # of a fit of odds: least P(right), log-odds, bisections
 
 
 class CheckedBelief(NamedTuple):
@@ -126,6 +127,46 @@ def chance_error(p_right: Sequence[float], *, groups: Sequence[Hashable] | None 
         right = torch.rand(len(place) or len(p), generator=random, dtype=torch.float64)[of] < p
         total += calibration_error(p_right, right.tolist())
     return total / _DRAWS
+
+
+class OddsRatio(NamedTuple):
+    """Odds of being right over those of P(right), and where they are a standard deviation lower and higher."""
+
+    ratio: float
+    low: float
+    high: float
+
+
+def fitted_odds(
+    p_right: Sequence[float], right: Sequence[bool], *, groups: Sequence[Hashable] | None = None
+) -> OddsRatio | None:
+    """The one factor of the odds of P(right) by which it fits best who is right: Platt's scaling with a slope of 1.
+
+    By maximum likelihood; the deviation is a sandwich estimate that takes groups, not beliefs, for independent.
+
+    Args:
+        p_right: of the beliefs; beyond .001 and .999 they count as these, since no odds would do.
+        right: whether each is.
+        groups: of each belief, such as its episode; by default each stands alone.
+
+    Returns:
+        None where all are right, or none.
+    """
+    if all(right) or not any(right):
+        return None
+    logit = torch.tensor(p_right, dtype=torch.float64).clamp(_LEAST, 1.0 - _LEAST).logit()
+    good = torch.tensor(right, dtype=torch.float64)
+    low, high = -_MOST_NATS, _MOST_NATS
+    for _ in range(_HALVES):
+        middle = 0.5 * (low + high)
+        more = float((good - (logit + middle).sigmoid()).sum()) > 0
+        low, high = (middle, high) if more else (low, middle)
+    told = (logit + middle).sigmoid()
+    place = {name: k for k, name in enumerate(dict.fromkeys(groups))} if groups is not None else {}
+    of = torch.tensor([place[name] for name in groups]) if groups is not None else torch.arange(len(good))
+    score = torch.zeros(len(place) or len(good), dtype=torch.float64).index_add(0, of, good - told)
+    deviation = float(score.square().sum().sqrt() / (told * (1.0 - told)).sum())
+    return OddsRatio(*(math.exp(min(middle + step, _MOST_NATS)) for step in (0.0, -deviation, deviation)))
 
 
 def rank_test(ranks: Sequence[float], bins: int = 10) -> float:

@@ -11,6 +11,7 @@ from rumi.metrics.calibration import (
     chance_error,
     checked,
     covered,
+    fitted_odds,
     rank_test,
     reliability,
 )
@@ -106,3 +107,41 @@ def test_ranks_by_hand():
     assert rank_test([0.1] * 8 + [0.3] * 4 + [0.6] * 4 + [1.0] * 4, bins=4) == pytest.approx(0.4936, abs=1e-3)
     with pytest.raises(ValueError, match="one rank or more"):
         rank_test([])
+
+
+def test_fitted_odds_are_those_by_hand():
+    found = fitted_odds([0.5] * 100, [True] * 60 + [False] * 40)
+    assert found is not None and found.ratio == pytest.approx(1.5)
+    assert math.log(found.high / found.ratio) == pytest.approx(1.0 / math.sqrt(100 * 0.6 * 0.4), rel=1e-6)
+    assert found.high / found.ratio == pytest.approx(found.ratio / found.low)
+
+
+@pytest.mark.parametrize("odds", [0.2, 1.0, 3.0])
+def test_odds_are_found_of_beliefs_that_are_off_by_them(odds):
+    said = torch.rand(20000, generator=generator(5), dtype=torch.float64)
+    right = torch.rand(20000, generator=generator(6), dtype=torch.float64) < recalibrated_(said, odds)
+    found = fitted_odds(said.tolist(), right.tolist())
+    assert found is not None and abs(math.log(found.ratio / odds)) < 4.0 * math.log(found.high / found.ratio) < 0.2
+    again = fitted_odds(recalibrated_(said, found.ratio).tolist(), right.tolist())
+    assert again is not None and again.ratio == pytest.approx(1.0, abs=1e-3)
+
+
+def recalibrated_(p: torch.Tensor, odds: float) -> torch.Tensor:
+    return (p.logit() + math.log(odds)).sigmoid()
+
+
+def test_beliefs_of_a_group_tell_once():
+    said, right = [0.3, 0.5, 0.9, 0.6], [False, True, True, False]
+    once = fitted_odds(said, right)
+    thrice = fitted_odds(said * 3, right * 3, groups=list("abcd") * 3)
+    assert once is not None and thrice == pytest.approx(once)
+
+
+@pytest.mark.parametrize("right", [[], [True, True], [False, False]])
+def test_no_odds_where_all_are_right_or_none(right):
+    assert fitted_odds([0.2, 1.0][: len(right)], right) is None
+
+
+def test_odds_of_certain_beliefs_are_finite():
+    found = fitted_odds([1.0, 1.0, 0.0], [True, False, False])
+    assert found is not None and all(math.isfinite(value) for value in found)
