@@ -328,4 +328,7 @@ def test_a_report_of_calibration_by_hand():
     assert told[1].split()[:2] == ["beliefs", "3"]
     assert "50% 67%, 90% 67%, 95% 67%, 99% 67%" in told[2] and "50% 0%, 90% 0%, 95% 100%" in told[3]
     assert "of 3 with 0.95 or more 2 right" in told[5] and "error 0.293" in told[5]
+    halves = [{"stopped_by": "sure", "steps": [{**step, "p_right": 0.5, "right": k < 3}]} for k in range(4)]
+    assert "odds of being right are 3.00 (0.95 to 9.52) times its own" in report("mug", halves)
+    assert "odds" not in report("mug", halves[:3])
     assert "none touched" in report("mug", [{"stopped_by": "steps", "steps": [{**step, "contacts": 0}]}])
