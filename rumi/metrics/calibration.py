@@ -10,7 +10,7 @@ from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief, subsample
@@ -118,13 +118,11 @@ def chance_error(p_right: Sequence[float], *, groups: Sequence[Hashable] | None 
         groups: of each belief. Those of one group are right together, as those of an episode between two contacts
             are, which are the same belief looked at again; by default each is right by itself.
     """
-    p = torch.tensor(p_right, dtype=torch.float64)
-    place = {name: k for k, name in enumerate(dict.fromkeys(groups))} if groups is not None else {}
-    of = torch.tensor([place[name] for name in groups]) if groups else torch.arange(len(p))
+    p, of = torch.tensor(p_right, dtype=torch.float64), _numbered(range(len(p_right)) if groups is None else groups)
     random = torch.Generator().manual_seed(0)
     total = 0.0
     for _ in range(_DRAWS):
-        right = torch.rand(len(place) or len(p), generator=random, dtype=torch.float64)[of] < p
+        right = torch.rand(len(of.unique()), generator=random, dtype=torch.float64)[of] < p
         total += calibration_error(p_right, right.tolist())
     return total / _DRAWS
 
@@ -162,9 +160,8 @@ def fitted_odds(
         more = float((good - (logit + middle).sigmoid()).sum()) > 0
         low, high = (middle, high) if more else (low, middle)
     told = (logit + middle).sigmoid()
-    place = {name: k for k, name in enumerate(dict.fromkeys(groups))} if groups is not None else {}
-    of = torch.tensor([place[name] for name in groups]) if groups is not None else torch.arange(len(good))
-    score = torch.zeros(len(place) or len(good), dtype=torch.float64).index_add(0, of, good - told)
+    of = _numbered(range(len(right)) if groups is None else groups)
+    score = torch.zeros_like(good).index_add(0, of, good - told)  # of each group; there are no more than beliefs
     deviation = float(score.square().sum().sqrt() / (told * (1.0 - told)).sum())
     return OddsRatio(*(math.exp(min(middle + step, _MOST_NATS)) for step in (0.0, -deviation, deviation)))
 
@@ -181,6 +178,12 @@ def rank_test(ranks: Sequence[float], bins: int = 10) -> float:
     expected = len(ranks) / bins
     square = (counts.double() - expected).square().sum() / expected
     return float(torch.special.gammaincc(torch.tensor(0.5 * (bins - 1), dtype=torch.float64), 0.5 * square))
+
+
+def _numbered(groups: Sequence[Hashable]) -> Int[Tensor, "N"]:
+    """The group of each belief by a number, in the order in which they come."""
+    place = {name: k for k, name in enumerate(dict.fromkeys(groups))}
+    return torch.tensor([place[name] for name in groups], dtype=torch.long)
 
 
 def _level(apart: Float[Tensor, "N1 N1"], weights: Float[Tensor, "N"]) -> float:
