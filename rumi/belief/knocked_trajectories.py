@@ -4,6 +4,7 @@ Importance sampling of where the object was when the action began, from the beli
 moves under the action's readings. What came before is forgotten: it told where the object was before the knock.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -52,11 +53,8 @@ def begun_again(
     if last is None or now is None or not (new := new_segments(last, now)):
         return None
     sensed, model, history = pose_filter.own, pose_filter.model, now.history.since(len(now.history) - new)
-    rows = resample_systematic(before.log_weights.double(), _DRAWS, generator=generator)
-    start = last.pose[rows].clone()
-    scale = start.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
-    start[:, :3] += scale * normal((_DRAWS, 3), generator=generator, dtype=torch.float64)
-    drawn = Trajectories.drawn(start, history, generator, systematic=last.systematic[rows])
+    drawn = _knocked(before, history, own, _DRAWS, generator)
+    start = drawn.poses[:, 0]
     drawn = drawn.replayed(model, sensed, history, torch.zeros(_DRAWS, dtype=torch.long))
     gained = drawn.log_likelihood.sum(-1)
     check_finite(gained)
@@ -69,6 +67,52 @@ def begun_again(
         drawn = moves.sweep(drawn, history, whole=True)
     flat = normalise(torch.zeros(len(drawn), dtype=torch.float64))
     return pose_filter.belief_of(drawn, flat, se3.identity().to(after.world_T_attached), after.log_weights)
+
+
+def sought(
+    pose_filter: PoseTrajectoryFilter,
+    before: PoseTrajectoryBelief,
+    readings: Sequence[Reading],
+    memory: Observation,
+    own: MisfitSettings,
+    *,
+    generator: torch.Generator,
+) -> tuple[PoseBelief, Observation]:
+    """The belief and the memory where an object may have been knocked away before some actions that did not feel it.
+
+    A belief that took silence for anything but a knock has it pushed to where no tool pushes it, or is sure of less and
+    less: it is forgotten.
+
+    Args:
+        pose_filter: that the belief is of.
+        before: the belief before these actions.
+        readings: of them.
+        memory: points after them; what rides with the object is dropped.
+        own: how far a knock moves and turns.
+        generator: of the draws.
+    """
+    last, count = before.trajectories, max(pose_filter.own.particles, pose_filter.own.first_particles)
+    assert last is not None
+    drawn = _knocked(before, History.empty(), own, count, generator)
+    even = normalise(drawn.pose.new_zeros(count))
+    belief: PoseBelief = pose_filter.belief_of(drawn, even, before.world_T_attached, before.log_weights)
+    memory = memory[(~memory.attached).nonzero()[:, 0]]
+    for reading in readings:
+        belief, memory, _ = pose_filter(belief, memory, reading, generator=generator)
+    return belief, memory
+
+
+def _knocked(
+    before: PoseTrajectoryBelief, history: History, own: MisfitSettings, count: int, generator: torch.Generator
+) -> Trajectories:
+    """So many trajectories that begin where a knock may have moved a belief's, with a history of their own."""
+    last = before.trajectories
+    assert last is not None
+    rows = resample_systematic(before.log_weights.double(), count, generator=generator)
+    start = last.pose[rows].clone()
+    scale = start.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
+    start[:, :3] += scale * normal((count, 3), generator=generator, dtype=torch.float64)
+    return Trajectories.drawn(start, history, generator, systematic=last.systematic[rows])
 
 
 def pushed_anew(

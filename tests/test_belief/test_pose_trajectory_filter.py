@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from rumi.belief.filter_settings import FilterSettings
-from rumi.belief.knocked_trajectories import begun_again
+from rumi.belief.knocked_trajectories import begun_again, sought
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.belief.pose_trajectories import Trajectories
@@ -212,6 +212,22 @@ def test_after_a_knock_the_object_is_found_by_one_action_about_where_it_was(mode
     assert len(found.trajectories) == len(belief.trajectories) and found.trajectories.pose.isfinite().all()
     followed(found, memory, reading, generator=generator(4))  # and goes on from there
     assert begun_again(followed, belief, belief, MisfitSettings(), generator=generator(3)) is None
+
+
+def test_an_object_that_is_felt_no_more_is_sought_about_where_it_was(model):
+    """Two pushes go through where the block was; a third finds it where a knock may have moved it."""
+    followed, gone = follow(model), torch.tensor([0.05, 0.02, 0.0], **DOUBLE)
+    belief, memory = begin(followed)
+    unfelt = [felt_by(gone, path, model) for path in (PUSH, PUSH + torch.tensor([0.015, 0.0, 0.0], **DOUBLE))]
+    assert not any(bool(reading.in_contact.any()) for reading in unfelt)
+    found, kept = sought(followed, belief, unfelt, memory, MisfitSettings(), generator=generator(4))
+    away = found.world_T_object[:, :2, 3].norm(dim=-1)
+    assert 0.015 < float(away.median()) < 0.1 and bool(found.log_weights.isfinite().all())
+    assert not bool(kept.of_class(Semantics.SURFACE).any())  # what was seen before the knock
+    met = felt_by(gone, PUSH + torch.tensor([0.034, 0.0, 0.0], **DOUBLE), model)  # up to its face
+    assert bool(met.in_contact.any())
+    found, _, _ = followed(found, kept, met, generator=generator(5))
+    assert abs(float(found.world_T_object[:, 0, 3].median()) - 0.05) < 0.01
 
 
 def test_moves_go_on_once_readings_count_in_full_and_not_before(model, monkeypatch):

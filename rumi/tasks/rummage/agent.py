@@ -155,9 +155,8 @@ class Rummager:
     def stop(self, state: RummageState) -> StopReason | None:
         """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be.
 
-        An object that may lean on the tool is let go of first: what leans is elsewhere once it stands. Of another in
-        space the belief has to stay sure through a further touch.
-        Where the object may have tipped, and nothing but touches tell, there is nothing to do about it.
+        An object that may lean on the tool is let go of first: what leans is elsewhere once it stands. Where the object
+        may have tipped, and nothing but touches tell, there is nothing to do about it.
         """
         if state.watch.doubt() is None and self._borne_out(state.history) and not self._lets_go(state):
             return "sure"
@@ -237,10 +236,11 @@ class Rummager:
             if self.upright and unknown and self.filter.settings.motion in SLIDES and self.misfit.alpha > 0:
                 now = replace(now, unseated=unseated(state.watch.unseated, odd, touched))
             record = told(record, now, alarm)
-        if now.set_aside or (alarm is not None and not now.lost):
+        if now.set_aside or (alarm is not None and (not now.lost or now.unfelt_since is not None)):
             with clock("belief"):
+                steps = (*state.history, record)
                 belief, memory = searched_again(
-                    last, record, memory, pose_filter, self.misfit, now, before=state.memory, generator=random["lost"]
+                    steps, memory, pose_filter, self.misfit, now, before=state.memory, generator=random["lost"]
                 )
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}

@@ -36,6 +36,8 @@ class Watch:
         beside_m: how far what was felt last is from where any particle has it felt.
         set_aside: whether the last reading is left out: something was felt falsely in it, which by itself is no fault.
         waited: actions since an alarm was due whose fault is not clear yet.
+        unfelt_since: the action since which, by the last alarm, nothing is felt of an object that is searched for about
+            where it was before; None where none is.
     """
 
     evidence: ChangeEvidence | None = None
@@ -53,6 +55,7 @@ class Watch:
     beside_m: float = 0.0
     waited: int = 0
     set_aside: bool = False
+    unfelt_since: int | None = None
 
     def doubt(self) -> str | None:
         """What speaks for a fault, though not enough for an alarm: no time to be sure."""

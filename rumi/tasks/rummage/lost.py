@@ -141,13 +141,14 @@ def watch(
         static=static,
         set_aside=False,
     )
-    if not bool(test.alarm(evidence)):
+    found = before.unfelt_since is not None and bool(record.reading.in_contact.any()) and not strange
+    if not found and not bool(test.alarm(evidence)):
         return replace(after, set_aside=strange), None
-    name, chance = named(chances)
+    name, chance = named({each: chances[each] for each in SEARCHED} if found else chances)
     alike = name in SEARCHED and not isinstance(pose_filter, IslandFilter)
     clear = sum(chances[each] for each in SEARCHED) if alike else chance
     unclear = clear < _CLEAR or (repeated > _TELLS and name != "stuck hand")
-    if unclear and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
+    if unclear and after.waited < _WAITS and not found:  # one more action tells more than a wrong recovery undoes
         tells = bool((ratios.abs() > _TELLS).logical_and(ratios.isfinite()).any())
         return replace(after, waited=after.waited + tells), None
     if before.lost and (name in UNFELT or not bool(record.reading.in_contact.any())):
@@ -169,6 +170,7 @@ def watch(
         explanations=chances,
         beside_m=0.0,
         waited=0,
+        unfelt_since=since if name == NOTHING_FELT and own.recover and follows(pose_filter) else None,
     )
     return (_going_on(told_by, pose_filter) if searches else told_by), remark
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.island_filter import IslandFilter
-from rumi.belief.knocked_trajectories import begun_again, pushed_anew
+from rumi.belief.knocked_trajectories import begun_again, pushed_anew, sought
 from rumi.belief.misfit import MisfitSettings, knocked
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
@@ -30,8 +30,7 @@ _DRAWS = 8  # poses to search among, for each particle
 
 
 def searched_again(
-    last: StepRecord,
-    record: StepRecord,
+    steps: Sequence[StepRecord],
     memory: Observation,
     pose_filter: PoseFilter,
     own: MisfitSettings,
@@ -43,11 +42,11 @@ def searched_again(
     """The belief and the memory of a search that begins anew about what was believed, from one reading alone.
 
     Observations before it that ride with the object are dropped: they told where it was. What was felt where nothing is
-    is dropped itself: belief and memory before it go on.
+    is dropped itself: belief and memory before it go on. Where nothing was felt any more the search begins where the
+    object was before, from all readings since.
 
     Args:
-        last: the step before.
-        record: of the step whose reading raised the alarm.
+        steps: of the run, the first view first; the last one's reading raised the alarm.
         memory: points so far.
         pose_filter: that the belief is of.
         own: settings.
@@ -55,10 +54,16 @@ def searched_again(
         before: points before the step.
         generator: of draws.
     """
+    *_, last, record = steps
     named = now.named
     if named in _STRANGE or now.set_aside:
         return last.belief, before
     here = record.belief
+    if now.unfelt_since is not None:
+        assert isinstance(pose_filter, PoseTrajectoryFilter)
+        readings, begun = [step.reading for step in steps[now.unfelt_since :]], steps[now.unfelt_since - 1].belief
+        assert isinstance(begun, PoseTrajectoryBelief)
+        return sought(pose_filter, begun, readings, memory, own, generator=generator)
     if now.adopted:
         assert isinstance(pose_filter, PoseTrajectoryFilter) and isinstance(here, PoseTrajectoryBelief)
         return _adopted(now.adopted, now.following or pose_filter, here), memory

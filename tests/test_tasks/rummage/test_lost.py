@@ -111,7 +111,7 @@ def test_of_a_touch_that_was_none_the_belief_before_goes_on(model, pose_filter):
     generator = torch.Generator().manual_seed(0)
     known, after = before.added, concatenate([before.added, record.added])
     belief, memory = searched_again(
-        before, record, after, pose_filter, OWN, Watch(named="false contacts"), before=known, generator=generator
+        (before, record), after, pose_filter, OWN, Watch(named="false contacts"), before=known, generator=generator
     )
     assert belief is before.belief and memory is known
 
@@ -207,7 +207,7 @@ def test_a_reading_with_a_false_touch_that_is_no_fault_is_left_out_and_told(mode
     assert remark is None and now.set_aside and not now.lost
     assert [odd.name for odd in told(record, now).remarks] == ["false touch"]
     memory, random = Observation.empty(), torch.Generator()
-    belief, kept = searched_again(last, record, record.added, pose_filter, OWN, now, before=memory, generator=random)
+    belief, kept = searched_again((last, record), record.added, pose_filter, OWN, now, before=memory, generator=random)
     assert belief is last.belief and kept is memory
     [(left, _, _)] = followed(model, pose_filter, [record], replace(OWN, recover=False))
     assert not left.set_aside
@@ -225,6 +225,19 @@ def test_what_was_not_felt_and_is_felt_again_elsewhere_is_searched_for(model, po
     names = [(remark.name, now.lost) for now, _, remark in found if remark is not None]
     assert names[0] == ("lost: absent", True) and names[1][1] is False and len(names) == 2
     assert names[1][0].removeprefix("lost: ") in SEARCHED
+
+
+@pytest.mark.parametrize(("felt", "sought", "said"), [(True, 1, "knocked"), (False, 1, None), (True, None, None)])
+def test_what_was_searched_for_and_is_felt_again_is_lost_no_more(model, pose_filter, felt, sought, said):
+    """However well the belief, begun about where it was, explains the touch; without a search an alarm is due first."""
+    record = step(model, 7, 0.0)
+    record = replace(
+        record, reading=replace(record.reading, in_contact=torch.full_like(record.reading.in_contact, felt))
+    )
+    before, random = Watch(named="absent", lost=True, unfelt_since=sought), torch.Generator().manual_seed(0)
+    now, remark = watch(before, record, record, pose_filter, model, OWN, generator=random)
+    assert (None if remark is None else remark.name) == (said and f"lost: {said}")
+    assert now.lost == (said is None) and now.unfelt_since == (None if said else sought)
 
 
 def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, pose_filter):
@@ -264,8 +277,7 @@ def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
     record = step(model, 3, -0.03)
     generator = torch.Generator().manual_seed(0)
     belief, memory = searched_again(
-        record,
-        record,
+        (record, record),
         record.added,
         pose_filter,
         OWN,

@@ -17,7 +17,7 @@ from rumi.belief.rival_filters import Rival
 from rumi.belief.trajectory_history import History
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
-from rumi.tasks.rummage import lost
+from rumi.tasks.rummage import lost, recovery
 from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.recovery import searched_again
 from sdf.grid_sdf import GridSDF
@@ -60,11 +60,24 @@ def test_the_likeliest_rival_of_the_fault_is_gone_on_by(pose_filter, name):
     record = replace(make_up(2, particles=2).steps[1], belief=belief_at(pose_filter, 0.0))
     none, before = Observation.empty(), generator(3)
     belief, memory = searched_again(
-        record, record, none, pose_filter, MisfitSettings(), now, before=none, generator=before
+        (record, record), none, pose_filter, MisfitSettings(), now, before=none, generator=before
     )
     assert memory is none and isinstance(belief, PoseTrajectoryBelief) and belief.trajectories is not None
     assert len(belief.log_weights) == len(belief.trajectories) == 20
     torch.testing.assert_close(belief.trajectories.pose[:, 0], torch.full((20,), 0.2, **DOUBLE))
+
+
+def test_what_is_felt_no_more_is_sought_from_before_by_all_readings_since(pose_filter, monkeypatch):
+    steps = [
+        replace(step, belief=belief_at(pose_filter, float(number))) for number, step in enumerate(make_up(4).steps)
+    ]
+    asked = []
+    monkeypatch.setattr(recovery, "sought", lambda *given, generator: asked.append(given) or given[1::2][:2])
+    now, none = Watch(named="absent", lost=True, unfelt_since=2), Observation.empty()
+    searched_again(steps, none, pose_filter, MisfitSettings(), now, before=none, generator=generator(3))
+    [(_, begun, readings, memory, _)] = asked
+    assert begun is steps[1].belief and memory is none
+    assert all(one is step.reading for one, step in zip(readings, steps[2:], strict=True))
 
 
 def test_after_odd_pushes_the_prior_of_motion_is_wide_and_stays_so(pose_filter):
@@ -87,7 +100,7 @@ def test_in_space_a_run_goes_on_by_all_populations_of_the_likeliest_size():
     record = replace(make_up(2, particles=2).steps[1], belief=usual)
     none = Observation.empty()
     settings, random = MisfitSettings(), generator(3)
-    belief, memory = searched_again(record, record, none, islands, settings, now, before=none, generator=random)
+    belief, memory = searched_again((record, record), none, islands, settings, now, before=none, generator=random)
     assert memory is none and [len(island.every) for island in islands_of(belief)] == [30, 30, 30]
     heights = torch.stack([prior.ways[way][2, 3] for way in (0, 1)]) * rival_filters.SIZES[0]
     off = (belief.world_T_object[:, 2, 3, None] - heights).abs().amin(-1)
