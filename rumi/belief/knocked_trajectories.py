@@ -80,8 +80,8 @@ def sought(
 ) -> tuple[PoseBelief, Observation]:
     """The belief and the memory where an object may have been knocked away before some actions that did not feel it.
 
-    A belief that took silence for anything but a knock has it pushed to where no tool pushes it, or is sure of less and
-    less: it is forgotten.
+    The belief that took silence for anything but a knock is forgotten: it has the object pushed to where no tool pushes
+    it, or is surer and surer of what little was left.
 
     Args:
         pose_filter: that the belief is of.

@@ -107,6 +107,12 @@ def named(chances: Mapping[str, float]) -> tuple[str, float]:
     return name, each[name]
 
 
+def given(chances: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+    """Probabilities of some of the explanations where it is one of these; even ones where none has any."""
+    total = sum(chances[name] for name in names)
+    return {name: chances[name] / total if total > 0 else 1.0 / len(names) for name in names}
+
+
 def chances_of(test: ChangeTest, evidence: ChangeEvidence) -> list[float]:
     """Posterior of no fault in the run so far, then of each fault, where `_FAULTY` of the runs come to have one."""
     each = test.explanations(evidence)

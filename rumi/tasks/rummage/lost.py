@@ -28,6 +28,7 @@ from rumi.tasks.rummage.explanations import (
     all_faults_of,
     chances_by_name,
     follows,
+    given,
     named,
     static_of,
 )
@@ -141,10 +142,11 @@ def watch(
         static=static,
         set_aside=False,
     )
+    # what is searched for and felt was knocked, however well the belief of the search explains the touch
     found = before.unfelt_since is not None and bool(record.reading.in_contact.any()) and not strange
     if not found and not bool(test.alarm(evidence)):
         return replace(after, set_aside=strange), None
-    name, chance = named({each: chances[each] for each in SEARCHED} if found else chances)
+    name, chance = named(given(chances, SEARCHED) if found else chances)
     alike = name in SEARCHED and not isinstance(pose_filter, IslandFilter)
     clear = sum(chances[each] for each in SEARCHED) if alike else chance
     unclear = clear < _CLEAR or (repeated > _TELLS and name != "stuck hand")

@@ -24,6 +24,7 @@ from rumi.tasks.rummage.explanations import (
     SEARCHED,
     STATIC,
     all_faults_of,
+    given,
     named,
 )
 from rumi.tasks.rummage.fault_state import Watch
@@ -225,6 +226,12 @@ def test_what_was_not_felt_and_is_felt_again_elsewhere_is_searched_for(model, po
     names = [(remark.name, now.lost) for now, _, remark in found if remark is not None]
     assert names[0] == ("lost: absent", True) and names[1][1] is False and len(names) == 2
     assert names[1][0].removeprefix("lost: ") in SEARCHED
+
+
+def test_a_probability_given_some_explanations_is_their_share():
+    even = given({"a": 0.0, "b": 0.0, "no fault": 1.0}, ("a", "b"))
+    assert even == {"a": 0.5, "b": 0.5}
+    assert given({"a": 0.1, "b": 0.3, "no fault": 0.6}, ("a", "b")) == pytest.approx({"a": 0.25, "b": 0.75})
 
 
 @pytest.mark.parametrize(("felt", "sought", "said"), [(True, 1, "knocked"), (False, 1, None), (True, None, None)])
