@@ -204,7 +204,7 @@ def _rivals(
         else:
             first, _ = pose_filter.particles_of(history[0].belief)
             rivals = rival_filters.begun(pose_filter, first, generator)
-        readings = _taken_in(history, record)
+        readings = taken_in((*history[1:], record))
     for reading in readings:
         rivals = rival_filters.followed(rivals, reading, generator)
     rivals = rival_filters.left(rivals, rival_filters.log_none(rivals, none))
@@ -217,10 +217,9 @@ def _static(rivals: Sequence[Rival], none: float, pose_filter: PoseTrajectoryFil
     return own.log_ratios(rivals, none)
 
 
-def _taken_in(history: Sequence[StepRecord], record: StepRecord) -> list[Reading]:
-    """Readings since the first view that were not left out."""
-    steps = [step for step in history[1:] if all(remark.name != _FALSE_TOUCH for remark in step.remarks)]
-    return [*(step.reading for step in steps), record.reading]
+def taken_in(steps: Sequence[StepRecord]) -> list[Reading]:
+    """Readings of some steps but those that were left out."""
+    return [step.reading for step in steps if all(remark.name != _FALSE_TOUCH for remark in step.remarks)]
 
 
 def _all_ratios(
@@ -247,7 +246,7 @@ def _asked_again(
 ) -> tuple[tuple[Rival, ...], Mapping[str, float]]:
     """Rivals with further copies, where an alarm is due or in space a run would not be sure, and what they say then."""
     assert isinstance(pose_filter, PoseTrajectoryFilter)
-    readings = _taken_in(history, record)
+    readings = taken_in((*history[1:], record))
     if isinstance(pose_filter, IslandFilter):
         rivals = island_rivals.doubted(pose_filter, rivals, readings, generator)
     else:

@@ -20,7 +20,7 @@ from rumi.records import StepRecord
 from rumi.resampling import resample_systematic
 from rumi.tasks.rummage.explanations import follows
 from rumi.tasks.rummage.fault_state import Watch
-from rumi.tasks.rummage.lost import sensed_now
+from rumi.tasks.rummage.lost import sensed_now, taken_in
 from rumi.weights import boltzmann
 from sdf import se3
 from sensors.observation import Observation, merge
@@ -43,7 +43,7 @@ def searched_again(
 
     Observations before it that ride with the object are dropped: they told where it was. What was felt where nothing is
     is dropped itself: belief and memory before it go on. Where nothing was felt any more the search begins where the
-    object was before, from all readings since.
+    object was before, from all readings since that were not left out.
 
     Args:
         steps: of the run, the first view first; the last one's reading raised the alarm.
@@ -61,7 +61,7 @@ def searched_again(
     here = record.belief
     if now.unfelt_since is not None:
         assert isinstance(pose_filter, PoseTrajectoryFilter)
-        readings, begun = [step.reading for step in steps[now.unfelt_since :]], steps[now.unfelt_since - 1].belief
+        readings, begun = taken_in(steps[now.unfelt_since :]), steps[now.unfelt_since - 1].belief
         assert isinstance(begun, PoseTrajectoryBelief)
         return sought(pose_filter, begun, readings, memory, own, generator=generator)
     if now.adopted:

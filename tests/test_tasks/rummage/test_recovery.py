@@ -13,6 +13,7 @@ from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.remarks import Remark
 from rumi.belief.rival_filters import Rival
 from rumi.belief.trajectory_history import History
 from rumi.robot.gripper import GripperShape
@@ -69,15 +70,16 @@ def test_the_likeliest_rival_of_the_fault_is_gone_on_by(pose_filter, name):
 
 def test_what_is_felt_no_more_is_sought_from_before_by_all_readings_since(pose_filter, monkeypatch):
     steps = [
-        replace(step, belief=belief_at(pose_filter, float(number))) for number, step in enumerate(make_up(4).steps)
+        replace(step, belief=belief_at(pose_filter, float(number))) for number, step in enumerate(make_up(5).steps)
     ]
+    steps[3] = replace(steps[3], remarks=(Remark("false touch", 3, "left out"),))
     asked = []
     monkeypatch.setattr(recovery, "sought", lambda *given, generator: asked.append(given) or given[1::2][:2])
     now, none = Watch(named="absent", lost=True, unfelt_since=2), Observation.empty()
     searched_again(steps, none, pose_filter, MisfitSettings(), now, before=none, generator=generator(3))
     [(_, begun, readings, memory, _)] = asked
     assert begun is steps[1].belief and memory is none
-    assert all(one is step.reading for one, step in zip(readings, steps[2:], strict=True))
+    assert all(one is step.reading for one, step in zip(readings, [steps[2], *steps[4:]], strict=True))
 
 
 def test_after_odd_pushes_the_prior_of_motion_is_wide_and_stays_so(pose_filter):
