@@ -36,7 +36,7 @@ from scripts.store import Store
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
 # without what counts for a wrist force sensor, in space or for an inexact robot alone, so that other runs stay
 _OTHERS = (
-    "force_n|force_per_m|lean|soft|grip|missed|dead|tool_off_m|tool_off_rad|worn|view_off_m|view_off_rad|view_about_m|least_m|"
+    "force_n|force_per_m|lean|soft|grip|missed|dead|tool_off_m|tool_off_rad|worn|size_off|view_off_m|view_off_rad|view_about_m|least_m|"
     "first_particles|replicates"
 )
 _NOT_HERE = re.compile(rf", ({_OTHERS})=(\([^)]*\)|[^,)]*)")

@@ -96,13 +96,15 @@ def drawn_push(
         )
         history = History.empty(path.shape[-1]).appended(alone)
         track.append(moved.replayed(model, own, history, torch.zeros(1, dtype=torch.long)).pose)
-    taken, worn_m = track[1:], points.new_zeros(1)
+    taken, errors = track[1:], None
     if own.systematic:
         errors = SystematicErrors.of(own, truth.systematic)
-        taken, worn_m = [errors.felt(pose, tool) for pose, tool in zip(taken, after, strict=True)], errors.worn_m
+        taken = [errors.felt(pose, tool) for pose, tool in zip(taken, after, strict=True)]
     inverse = se3.inverse(model.world_T_object(torch.cat(taken))).repeat_interleave(count, 0)
     local = se3.apply(inverse, points[:, None])[:, 0]
-    distance = model.sdf.distance(local.to(model.sdf.bounds)).double() + worn_m
+    local = local if errors is None else errors.of_the_model(local[None], model.resting_m)[0]
+    distance = model.sdf.distance(local.to(model.sdf.bounds)).double()
+    distance = distance if errors is None else errors.size * distance + errors.worn_m
     feels = own.outliers + (1.0 - 2.0 * own.outliers) * torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
     felt = torch.rand(len(feels), generator=random, dtype=torch.float64) < feels
     segment = segment._replace(kind=torch.where(felt, int(Kind.PAD_FELT), clear))

@@ -2,109 +2,20 @@
 
 import math
 
-import numba
 import numpy as np
 
 from rumi.belief.facing_numba import told_by_view, toward_camera
+from rumi.belief.outline_depth_numba import GROUP, deepest, resized
 from rumi.belief.silence_numba import SILENT, told_by_silence
 from rumi.dynamics.sliding_numba import gathered, settled, slope, turned
 from sdf.compiled import Kernel, bare
-from sdf.grid_numba import between, block, exact, fast, lattice_of
+from sdf.grid_numba import between, block, fast, lattice_of
 from sdf.grid_numba import value as distance_at
-from sdf.intrinsics_numba import at, next_to, node, put, whole
+from sdf.intrinsics_numba import at
 from sdf.part_numba import indices
-
-GROUP = 8
-"""Points of the tool's border that are left out together: as many as are looked up at a time."""
 
 _SLACK = 1e-6  # nats by which sums in another order may differ
 _BLOCK = 64  # points of an instant after which it is asked whether a particle is given up
-
-
-@block
-def _value(x, y, values, numbers):
-    """Signed distance at a point of the object's frame, as `sliding_numba.value` has it, without a branch."""
-    low_x, low_y, spacing, last_x, last_y, columns = numbers
-    u, v = (x - low_x) / spacing, (y - low_y) / spacing
-    a = u if u > 0.0 else 0.0
-    a = a if a < last_x else last_x
-    b = v if v > 0.0 else 0.0
-    b = b if b < last_y else last_y
-    far_x, far_y = spacing * (u - a), spacing * (v - b)
-    i, j = whole(a if a < last_x - 1.0 else last_x - 1.0), whole(b if b < last_y - 1.0 else last_y - 1.0)
-    a, b = a - i, b - j
-    one = numba.int32(1)
-    near = node(i, j, numba.int32(0), columns, one)
-    beside = next_to(near, columns)
-    v00, v10 = at(values, near), at(values, beside)
-    low = v00 + b * (at(values, next_to(near, one)) - v00)
-    high = v10 + b * (at(values, next_to(beside, one)) - v10)
-    there = low + a * (high - low)
-    beyond = math.sqrt(there * there + far_x * far_x + far_y * far_y)
-    return beyond if (far_x != 0.0) | (far_y != 0.0) else there
-
-
-@exact
-def _bounds(placed, radius, slack, groups, values, numbers, least):
-    """Least distance from the object that points of each of the tool's groups can have; infinite for what is apart."""
-    off_x, off_y, cos, sin = placed
-    count = len(groups) // 3
-    for g in range(count):
-        px, py, far = at(groups, g), at(groups, count + g), at(groups, 2 * count + g)
-        x, y = off_x + cos * px - sin * py, off_y + sin * px + cos * py
-        reach = radius + far
-        found = _value(x, y, values, numbers) - far - slack
-        put(least, g, math.inf if x * x + y * y > reach * reach else found)
-
-
-@exact
-def _distances(first, placed, square, tool, values, numbers, found):
-    """Distance from the object of each point of a group; infinite for what cannot be in it, whatever its yaw."""
-    off_x, off_y, cos, sin = placed
-    count = len(tool) // 2
-    for k in range(GROUP):
-        px, py = at(tool, first + k), at(tool, count + first + k)
-        x, y = off_x + cos * px - sin * py, off_y + sin * px + cos * py
-        there = _value(x, y, values, numbers)
-        put(found, k, math.inf if x * x + y * y > square else there)
-
-
-@bare
-def _deepest(x, y, yaw, at_tool, worn, shape):
-    """Least distance of the tool's border from the object, the point there, and its place in the object's frame.
-
-    A group of points is left out where its disc is too far for one of them to be in the object, or deeper than found;
-    a negative wear lets the object be that much larger. Of two points as deep it is the first.
-    """
-    tool, groups, table, numbers, near, found = shape
-    tool_x, tool_y, tool_cos, tool_sin = at_tool
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    off_x, off_y = tool_x - x, tool_y - y
-    off_x, off_y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
-    cos, sin = tool_cos * cos + tool_sin * sin, tool_sin * cos - tool_cos * sin
-    placed = (off_x, off_y, cos, sin)
-    edge = max(0.0, -worn)
-    # between nodes at a corner the table is below 0 a little beyond its radius
-    radius, slack = numbers[4] + numbers[2] + edge, 2.0 * numbers[2]
-    lattice = (numbers[0], numbers[1], numbers[2], table.shape[0] - 1.0, table.shape[1] - 1.0, np.int32(table.shape[1]))
-    values, count = table.reshape(-1), len(tool) // 2
-    _bounds(placed, radius, slack, groups, values, lattice, near)
-    least, best, first = math.inf, count, 0
-    for group in range(1, len(near)):
-        first = group if near[group] < near[first] else first
-    for turn in range(-1, len(near)):
-        group = first if turn < 0 else turn
-        if turn == first or near[group] > min(least, edge):
-            continue
-        _distances(GROUP * group, placed, radius * radius, tool, values, lattice, found)
-        for k in range(GROUP):
-            point = GROUP * group + k
-            if found[k] < least or (found[k] == least and point < best):
-                least, best = found[k], point
-    if not least < math.inf:
-        return least, 0, 0.0, 0.0
-    px, py = tool[best], tool[count + best]
-    return least, best, off_x + cos * px - sin * py, off_y + sin * px + cos * py
 
 
 @fast
@@ -122,6 +33,16 @@ def _readings(first, last, pose, worn, points, weight, row, logs, inverse, flat,
     return total
 
 
+@block
+def _of_the_model(lattice, size, worn, resting):
+    """A lattice that takes points of an object of another size, which stands lower by what is worn off."""
+    kind = type(lattice[0])
+    per_m = lattice[0] / kind(size)
+    lift = kind((resting + worn) - size * resting)
+    placed = per_m, lattice[1], lattice[2], lattice[3] + per_m * lift
+    return placed + lattice[4:]
+
+
 @bare
 def _apart(x, y, yaw, before, after, worn, shape):
     """Whether the tool, where it ends, is farther from the object than it went: it touched nothing on the way."""
@@ -133,7 +54,7 @@ def _apart(x, y, yaw, before, after, worn, shape):
         return True
     placed = (after[0], after[1], math.cos(after[2]), math.sin(after[2]))
     edge = travel + max(0.0, -worn)
-    return _deepest(x, y, yaw, placed, -edge, shape)[0] > edge
+    return deepest(x, y, yaw, placed, -edge, shape)[0] > edge
 
 
 @bare
@@ -145,7 +66,7 @@ def _slid(x, y, yaw, before, after, worn, shape, rim, body):
         return x, y, yaw, False
     tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
     placed = (tool_x, tool_y, tool_cos, tool_sin)
-    apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, shape)
+    apart, k, at_x, at_y = deepest(x, y, yaw, placed, worn, shape)
     if not apart + worn < 0.0:
         return x, y, yaw, False
     first, count = (x, y, yaw), len(tool) // 2
@@ -162,7 +83,7 @@ def _slid(x, y, yaw, before, after, worn, shape, rim, body):
     centre_x, centre_y = body[0] + ahead * in_x, body[1] + ahead * in_y
     for again in range(2):
         if again:
-            apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, shape)
+            apart, k, at_x, at_y = deepest(x, y, yaw, placed, worn, shape)
             if not apart + worn < 0.0:
                 break
         gx, gy = slope(at_x, at_y, table, numbers[0], numbers[1], numbers[2])
@@ -255,20 +176,22 @@ def _sensed(x, y, yaw, taken, seen, errors):
 
 
 @bare
-def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lattice, room):
+def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lattice, room, numbers):
     """One particle, from its own segment on; what cannot reach its least log-likelihood any more is given up."""
     first, least, poses, found, physics, noises = particles
     path, pushes, ends, action, point_ends = done
     points, weight, row = sensed
-    numbers = shape[3]
     begin, total, exact, enough = first[n], 0.0, len(errors) == 0, least[n] - _SLACK
-    worn = 0.0 if exact else errors[n, 3]
-    thin = np.float32(worn)
+    worn, factor = (0.0, 1.0) if exact else (errors[n, 3], errors[n, 7])
+    # distances are looked up in metres of the model
+    thin, lattice = np.float32(worn / factor), _of_the_model(lattice, factor, worn, scales[23])
+    resized(shape[3], factor, numbers)
+    shape = shape[0], shape[1], shape[2], numbers, shape[4], shape[5]
     x, y, yaw = poses[n, begin, 0], poses[n, begin, 1], poses[n, begin, 2]
     ahead = scales[4] + scales[5] * physics[n, 4]
     centre_x, centre_y = numbers[6] + scales[6] * physics[n, 2], numbers[7] + scales[6] * physics[n, 3]
     own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])
-    inverse, step = np.float32(1.0 / scales[15]), np.float32(scales[22])
+    inverse, step = np.float32(factor / scales[15]), np.float32(scales[22])
     for segment in range(begin, len(ends)):
         shared, log = action[segment], 0.0
         friction = scales[0] * math.exp(scales[1] * physics[n, 0] + scales[7] * noises[n, segment, 0])
@@ -305,7 +228,10 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
                     shown = point
                     while shown < behind and row[shown] == 0:
                         shown += 1
-                    toward = toward_camera(at_x, at_y, math.cos(turned), math.sin(turned), eye, scales[22])
+                    seen_from = eye[0], eye[1], eye[2] + (scales[23] + worn) - factor * scales[23]
+                    toward = toward_camera(
+                        at_x, at_y, math.cos(turned), math.sin(turned), seen_from, factor * scales[22]
+                    )
                     while point < shown and total + log >= enough:
                         to = min(point + _BLOCK, shown)
                         log += told_by_view(
@@ -333,8 +259,9 @@ def _replay(particles, done, sensed, shape, scales, logs, errors, eye, grid, par
     room = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.int32)
     tool, groups, table, numbers = shape
     shape = tool, groups, table, numbers, np.empty(len(groups) // 3), np.empty(GROUP)
+    own = np.empty(len(numbers))
     for n in indices(part, len(particles[0])):
-        _one(np.int64(n), particles, done, sensed, shape, scales, logs, errors, eye, grid[0], lattice, room)
+        _one(np.int64(n), particles, done, sensed, shape, scales, logs, errors, eye, grid[0], lattice, room, own)
 
 
 replay = Kernel(_replay)

@@ -194,7 +194,9 @@ class PushedObject:
         errors: SystematicErrors | None,
     ) -> Float[Tensor, "N 3"]:
         """Poses after a small push by tools that each particle has where it has them, without the noise of it."""
-        near = ((after[:, :2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
+        size = pose.new_ones(len(pose)) if errors is None else errors.size
+        reach = self.radius_m + size * self.outline.radius
+        near = ((after[:, :2] - pose[:, :2]).norm(dim=-1) < reach).nonzero()[:, 0]
         if not len(near):
             return pose
         start, before, after = pose[near], before[near], after[near]
@@ -205,7 +207,8 @@ class PushedObject:
         if own.rim:
             placed = after[:, None, :2] + rotated(self.tool, after[:, None, 2])
             local = rotated(placed - start[:, None, :2], -start[:, None, 2])
-            touched = local[torch.arange(len(near)), self.outline(local).distance.argmin(-1)]
+            deepest = self.outline(local / size[near, None, None]).distance.argmin(-1)
+            touched = local[torch.arange(len(near)), deepest]
             behind = ((centre - touched) * direction).sum(-1).clamp_min(0.0)
             goes = direction.norm(dim=-1) > 0.5  # what a turn of the tool alone pushes goes nowhere ahead
             shifted = gathered(share, self.height_m - friction * behind, lever)
@@ -213,7 +216,9 @@ class PushedObject:
         sliding = Sliding(centre + ahead[:, None] * direction, lever, friction)
         # the tool of a worn object may be that much thicker before it touches it
         thickness = start.new_zeros(len(near)) if errors is None else -errors.worn_m[near]
-        moved, _ = push(start, before, after, self.tool, self.outline, sliding, thickness=thickness, passes=2)
+        moved, _ = push(
+            start, before, after, self.tool, self.outline, sliding, thickness=thickness, size=size[near], passes=2
+        )
         return pose.index_copy(0, near, moved)
 
     def told_by_force(
@@ -254,7 +259,7 @@ class PushedObject:
         Points by coordinate, the last one again until there are GROUP groups of GROUP points, or a multiple of them; of
         groups the centres of their points (x, y), and how far these are from it.
         """
-        from rumi.belief.pose_trajectories_numba import GROUP
+        from rumi.belief.outline_depth_numba import GROUP
 
         more = -len(self.tool) % (GROUP * GROUP)
         tool = torch.cat((self.tool, self.tool[-1:].expand(more, 2)))
@@ -264,7 +269,7 @@ class PushedObject:
         groups = torch.cat((centre.T.flatten(), far))
         outline = self.outline
         place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
-        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m))
+        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m, 1.0))
         return arrays_of((tool.T.flatten(), groups, outline.values, numbers))
 
 
@@ -289,7 +294,7 @@ def _replay_numba(
     particles = arrays_of((first, least, poses, found, given.physics, given.noise))
     grid = grid_arguments(model.sdf, torch.float32)
     others = (own.centre_change_m, own.least_m, own.missed, history.power, bool(own.rim), own.push_m)
-    scales = torch.cat((scales, scales.new_tensor((*others, facing_step_m(own)))))
+    scales = torch.cat((scales, scales.new_tensor((*others, facing_step_m(own), model.resting_m))))
     errors = SystematicErrors.of(own, given.systematic).table if own.systematic else scales.new_zeros(0, NUMBERS)
     eye = scales.new_zeros(0) if own.eye_m is None else scales.new_tensor(own.eye_m)
     if own.eye_m is not None:

@@ -1,8 +1,8 @@
 """Systematic errors of a run, as numbers of every particle: what is off by the same at all instants is no noise.
 
-A robot takes its tool to be where it is not, the object's surface lies deeper than its model's, and a camera's
-calibration is off: each of these is drawn once, and every reading of a run shares it. Independent readings whose noise
-is as wide would count each of them anew, and a belief grow sure of what they have in common.
+A robot takes its tool to be where it is not, the object's surface lies deeper than its model's, it is of another size,
+and a camera's calibration is off: each of these is drawn once, and every reading of a run shares it. Independent
+readings whose noise is as wide would count each of them anew, and a belief grow sure of what they have in common.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from torch import Tensor
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
 
-NUMBERS, WEAR, VIEW = 7, 3, 4
-"""Standard normals of a particle: where its tool is taken to be (x, y, yaw), its wear, and its view (x, y, yaw); where
-among them wear is, and where the view begins."""
+NUMBERS, WEAR, VIEW, SIZE = 8, 3, 4, 7
+"""Standard normals of a particle: where its tool is taken to be (x, y, yaw), its wear, its view (x, y, yaw), and its
+size; where among them wear is, where the view begins and ends, which is where size is."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,7 @@ class SystematicErrors:
         view_m: (N, 2), where what a camera saw is taken to be, seen from where it is, world axes,
         view_rad: (N), and by which it is taken to be turned about a point of the world,
         about_m: (2), which is this.
+        size: (N), of the object, times its model's.
     """
 
     tool_m: Float[Tensor, "N 2"]
@@ -39,9 +40,10 @@ class SystematicErrors:
     view_m: Float[Tensor, "N 2"]
     view_rad: Float[Tensor, "N"]
     about_m: Float[Tensor, "2"]
+    size: Float[Tensor, "N"]
 
     @classmethod
-    def of(cls, own: PoseTrajectorySettings, numbers: Float[Tensor, "N 7"]) -> Self:
+    def of(cls, own: PoseTrajectorySettings, numbers: Float[Tensor, "N 8"]) -> Self:
         """Those of standard normals."""
         return cls(
             own.tool_off_m * numbers[:, :2],
@@ -50,14 +52,22 @@ class SystematicErrors:
             own.view_off_m * numbers[:, VIEW : VIEW + 2],
             own.view_off_rad * numbers[:, VIEW + 2],
             numbers.new_tensor(own.view_about_m or (0.0, 0.0)),
+            (own.size_off * numbers[:, SIZE]).exp(),
         )
 
     @property
-    def table(self) -> Float[Tensor, "N 7"]:
+    def table(self) -> Float[Tensor, "N 8"]:
         """All of them in the order of the normals, as the compiled version takes them, the view turned about 0."""
         view_m = self.about_m - rotated(self.about_m.expand_as(self.view_m), self.view_rad) + self.view_m
-        turns = self.tool_rad[:, None], self.worn_m[:, None], view_m, self.view_rad[:, None]
+        turns = self.tool_rad[:, None], self.worn_m[:, None], view_m, self.view_rad[:, None], self.size[:, None]
         return torch.cat((self.tool_m, *turns), -1)
+
+    def of_the_model(self, local: Float[Tensor, "N M 3"], resting_m: float) -> Float[Tensor, "N M 3"]:
+        """Points in the object's frame, as those of its model, which stands on the floor by as much as it is worn."""
+        height = local[..., 2:] + resting_m + self.worn_m[:, None, None]
+        return torch.cat((local[..., :2], height), -1) / self.size[:, None, None] - local.new_tensor(
+            (0.0, 0.0, resting_m)
+        )
 
     def tool(self, taken: Float[Tensor, "3"]) -> Float[Tensor, "N 3"]:
         """Where the tool is, (x, y, yaw), by where it is taken to be."""

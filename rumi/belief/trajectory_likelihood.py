@@ -119,13 +119,16 @@ def replay_plain(
             if errors is not None:
                 seen = history.kind[begin] == Kind.SEEN
                 taken = errors.seen(pose) if seen else errors.felt(pose, history.tool[instant, 1])
-            distance = model.sdf.distance(model.local(taken, there).to(model.sdf.bounds)).to(pose)
+            local = model.local(taken, there)
+            local = local if errors is None else errors.of_the_model(local, model.resting_m)
+            distance = model.sdf.distance(local.to(model.sdf.bounds)).to(pose)
             if own.eye_m is not None and bool((shown := history.kind[some] == Kind.SEEN).any()):
                 eye = pose.new_tensor(own.eye_m) - pose.new_tensor((0.0, 0.0, model.resting_m))
-                local = model.local(taken, torch.cat((there[shown], eye[None])))
-                distance[:, shown] = facing_distance(model.sdf, local[:, :-1], local[:, -1], facing_step_m(own))
+                toward = model.local(taken, eye[None])
+                toward = toward if errors is None else errors.of_the_model(toward, model.resting_m)
+                distance[:, shown] = facing_distance(model.sdf, local[:, shown], toward[:, 0], facing_step_m(own))
             if errors is not None:
-                distance = distance + errors.worn_m[:, None]
+                distance = errors.size[:, None] * distance + errors.worn_m[:, None]
             each = log_likelihood_of(distance, history.kind[some], own) * history.weight[some]
             silent, power = history.kind[some] == Kind.PAD_SILENT, history.power if segment == len(history) - 1 else 1.0
             total = total + each[:, ~silent].sum(-1) + told_by_silence(each[:, silent].sum(-1), own, power)

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rumi.belief.pose_trajectories import OWN, PHYSICS, Trajectories
 from rumi.belief.pushed_model import Pushed
-from rumi.belief.systematic_errors import VIEW, WEAR, SystematicErrors, as_it_is, as_seen
+from rumi.belief.systematic_errors import SIZE, VIEW, WEAR, SystematicErrors, as_it_is, as_seen
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
@@ -150,7 +150,7 @@ class Moves:
         turned = self._turned_in_part(given.systematic, angle)
         proposed = replace(given, physics=torch.cat((given.physics[:, :PHYSICS], turned), -1))
         changed, shown, before = turned != given.systematic, history.shown(), given.poses[:, 0]
-        off, again = changed[:, VIEW:].any(-1), changed[:, WEAR]
+        off, again = changed[:, VIEW:SIZE].any(-1), changed[:, [WEAR, SIZE]].any(-1)
         if shown:
             start = torch.where(off[:, None], self.unseen(proposed, self.seen(given, before)), before)
             poses = given.poses.clone()

@@ -136,6 +136,7 @@ class PoseTrajectorySettings(Checked):
             of the tool feels meanwhile.
         tool_off_m, tool_off_rad: deviations of where the tool is taken to be in a run, along each axis, and of its yaw.
         worn: mean and deviation of how much deeper the object's surface lies than its model's, in metres.
+        size_off: log-deviation of the object's size from its model's, in the plane.
         height_off: deviations of how high the object's origin is above the floor in space, in metres and as a share of
             the model's: of a worn object, and of another size. None: as these are stated.
         view_off_m, view_off_rad: deviations of where a camera has the object in a run, along each axis, and of the turn
@@ -218,6 +219,7 @@ class PoseTrajectorySettings(Checked):
     tool_off_m: NotNegative = 0.0
     tool_off_rad: NotNegative = 0.0
     worn: tuple[NotNegative, NotNegative] = (0.0, 0.0)
+    size_off: NotNegative = 0.0
     height_off: tuple[NotNegative, NotNegative] | None = None
     view_off_m: NotNegative = 0.0
     view_off_rad: NotNegative = 0.0
@@ -245,7 +247,7 @@ class PoseTrajectorySettings(Checked):
     @property
     def systematic(self) -> bool:
         """Whether anything is off by the same in a whole run."""
-        return any((self.tool_off_m, self.tool_off_rad, *self.worn, self.view_off_m, self.view_off_rad))
+        return any((self.tool_off_m, self.tool_off_rad, *self.worn, self.size_off, self.view_off_m, self.view_off_rad))
 
     @property
     def later_share(self) -> float:

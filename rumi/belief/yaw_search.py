@@ -29,7 +29,9 @@ def all_round(
         model: object and tool.
         own: of the sensors.
     """
-    exact = replace(own, tool_off_m=0.0, tool_off_rad=0.0, worn=(0.0, 0.0), view_off_m=0.0, view_off_rad=0.0)
+    exact = replace(
+        own, tool_off_m=0.0, tool_off_rad=0.0, worn=(0.0, 0.0), size_off=0.0, view_off_m=0.0, view_off_rad=0.0
+    )
     yaw = torch.arange(_YAWS, dtype=torch.float64) * (2.0 * math.pi / _YAWS)
     best = torch.cat((fitted[:, :2].median(0).values.expand(_YAWS, 2), yaw[:, None]), -1)
     for steps, metres in _GRIDS:

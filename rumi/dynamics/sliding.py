@@ -240,6 +240,7 @@ def push(
     sliding: Sliding,
     *,
     thickness: float | Float[Tensor, "E"] = 0.0,
+    size: Float[Tensor, "E"] | None = None,
     passes: int = 3,
 ) -> tuple[Float[Tensor, "E 3"], Bool[Tensor, "E"]]:
     """Poses of objects after one small motion of a tool, and whether it met them.
@@ -257,8 +258,10 @@ def push(
         sliding: of each object.
         thickness: radius of a disc about every point, metres: one point with a radius is a round finger; of each
             object's tool, where these differ. A negative one is how deep its points go in before they touch.
+        size: factor of each outline's; None for 1.
         passes: contacts that are settled, at most.
     """
+    factor = pose.new_ones(len(pose)) if size is None else size
     thick = thickness if isinstance(thickness, Tensor) else pose.new_full((len(pose),), thickness)
     start, touched = pose, torch.zeros(len(pose), dtype=torch.bool, device=pose.device)
     rows = torch.arange(len(pose), device=pose.device)
@@ -266,7 +269,8 @@ def push(
     for _ in range(passes):
         here, own = pose[rows], sliding.at(rows)
         local = rotated(placed[rows] - here[:, None, :2], -here[:, None, 2])
-        depth, index = (thick[rows, None] - outline(local).distance).max(-1)
+        local = local / factor[rows, None, None]
+        depth, index = (thick[rows, None] - factor[rows, None] * outline(local).distance).max(-1)
         hit = (depth > 0).nonzero()[:, 0]
         if not len(hit):
             break

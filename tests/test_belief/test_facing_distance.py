@@ -78,7 +78,13 @@ def test_the_compiled_replay_is_the_plain_one(cup, systematic):
     history = seen(points, kinds)
     own = (
         replace(
-            KNOWS, view_off_m=0.002, view_off_rad=0.01, view_about_m=(0.3, 0.1), worn=(0.0005, 0.0003), tool_off_m=0.001
+            KNOWS,
+            view_off_m=0.002,
+            view_off_rad=0.01,
+            view_about_m=(0.3, 0.1),
+            worn=(0.0005, 0.0003),
+            tool_off_m=0.001,
+            size_off=0.02,
         )
         if systematic
         else KNOWS

@@ -10,7 +10,7 @@ import torch
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.rival_filters import _FromStarts
-from rumi.belief.systematic_errors import NUMBERS, VIEW, SystematicErrors
+from rumi.belief.systematic_errors import NUMBERS, SIZE, VIEW, SystematicErrors
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import told_by_silence
 from rumi.belief.trajectory_moves import Moves
@@ -21,6 +21,7 @@ from rumi.sim.sensor_settings import SensorSettings
 from rumi.sim.tool_offset import ToolOffset
 from rumi.sim.view_faults import taken_pose
 from sdf import backend, se3
+from sdf.primitives import Box
 from sdf.so3 import wrap
 
 DOUBLE = {"dtype": torch.float64}
@@ -30,6 +31,7 @@ OWN = replace(
     tool_off_m=0.002,
     tool_off_rad=0.02,
     worn=(0.001, 0.001),
+    size_off=0.02,
     view_off_m=0.003,
     view_off_rad=0.01,
     view_about_m=(0.1, -0.2),
@@ -156,6 +158,35 @@ def test_a_worn_object_is_met_as_much_later_as_it_is_worn(model, version):
         whole = replayed(model, replace(own, worn=(0.0, 0.0)), replace(given, physics=given.physics[:, :PHYSICS]))
     assert float(whole.pose[0, 0]) > 0.005
     assert float(whole.pose[0, 0] - moved) == pytest.approx(0.004, abs=8e-4)  # two fingers, settled one after the other
+
+
+@pytest.mark.parametrize("version", ["torch", "numba"])
+@pytest.mark.parametrize("factor", [0.96, 1.05])
+def test_an_object_of_another_size_is_the_resized_one(model, version, factor):
+    """Pushed and sensed as by the model in that size, whose mass is spread as before."""
+    history, own = history_of_a_push(), replace(EXACT, size_off=abs(math.log(factor)))
+    errors = torch.zeros(30, NUMBERS, **DOUBLE)
+    errors[:, SIZE] = math.copysign(1.0, math.log(factor))
+    sized = particles(history, 30, errors)
+    resized = replace(model.resized(factor), spread_m=model.spread_m, centre=model.centre)
+    # heights count from an origin that is higher up
+    points = history.points - history.points.new_tensor([0.0, 0.0, resized.resting_m - model.resting_m])
+    plain = replace(sized, physics=sized.physics[:, :PHYSICS], history=replace(history, points=points))
+    with backend.force(version):
+        found, expected = replayed(model, own, sized), replayed(resized, EXACT, plain)
+    assert float((expected.poses[:, -1, :2] - expected.poses[:, 0, :2]).norm(dim=-1).max()) > 0.01  # it was pushed
+    torch.testing.assert_close(found.poses, expected.poses, atol=2e-4, rtol=0)
+    assert float((found.log_likelihood - expected.log_likelihood).abs().max()) < 0.1
+    assert float((replayed(model, EXACT, plain).log_likelihood - expected.log_likelihood).abs().max()) > 1.0
+
+
+def test_what_is_worn_off_lowers_what_is_above():
+    """The top of a block, worn all round, lies lower by twice as much, since it stands on its worn foot."""
+    errors = SystematicErrors.of(replace(EXACT, worn=(0.001, 0.0)), torch.zeros(1, NUMBERS, **DOUBLE))
+    top = torch.tensor([[[0.0, 0.0, 0.03 - 0.002]]], **DOUBLE)
+    block = Box([0.04, 0.06, 0.03])
+    local = errors.of_the_model(top, 0.03)
+    assert float(errors.size * block.distance(local.float())[0] + errors.worn_m) == pytest.approx(0.0, abs=1e-7)
 
 
 def test_silence_is_never_less_likely_than_a_missed_touch():

@@ -51,17 +51,17 @@ def as_inexact(
     """The systematic errors of a run, and pads, motion and physics as uncertain, as they are stated to be.
 
     Calibration and tool pose are off in a random direction, of which one axis counts; wear is even up to a depth; size,
-    friction and centre of mass are even about the model's.
+    friction and centre of mass are even about the model's. What hangs on a worn part goes in with it, as a mug's handle
+    does with its wall: that is no depth, but about as if the object were smaller.
 
     Args:
         own: of the belief.
         simulator: what is stated.
-        bounds: of the object, of which half the mean width turns a share of its size into a length.
+        bounds: of the object, of which half the lesser width turns a depth of wear into a share of its size.
         camera: whose calibration is off, if there is one.
     """
     build, sensors, pads = simulator.build, simulator.sensors, simulator.pads
-    half_m = 0.25 * float((bounds[1] - bounds[0])[:2].sum())
-    worn = math.hypot(build.worn_m / math.sqrt(12.0), half_m * build.scale / math.sqrt(3.0))
+    half_m = 0.5 * float((bounds[1] - bounds[0])[:2].min())
     known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
     wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
     drawn_near = 0.0 if own.eye_m is not None else _NEARER * sensors.depth_noise_m / math.sqrt(2.0)
@@ -72,7 +72,8 @@ def as_inexact(
         _as_sensed(own.freer(wider), simulator),
         tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
         tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
-        worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], worn)),
+        worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], build.worn_m / math.sqrt(12.0))),
+        size_off=math.hypot(own.size_off, build.scale / math.sqrt(3.0), build.worn_m / (half_m * math.sqrt(3.0))),
         first_particles=own.first_particles if known else max(own.first_particles, _FIRST),
         missed=max(own.missed, pads.missed),
         dead=max(own.dead, pads.dead),
