@@ -225,7 +225,9 @@ def test_moves_keep_the_posterior_of_motion_and_physics_that_draws_of_the_prior_
     # by as much as one deviation, each another way
     own = replace(own, tool_off_m=off_m, view_off_m=off_m, view_off_rad=4.0 * off_m, view_about_m=(0.0, 0.1))
     random, pose, count = generator(18), torch.zeros(3, **DOUBLE), 40000 if off_m == 0 else 150_000
-    errors = torch.tensor([[1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0]], **DOUBLE)[:, : NUMBERS * own.systematic]
+    own = replace(own, size_off=10.0 * off_m)  # whose truth is the model's
+    errors = torch.zeros(1, NUMBERS * own.systematic, **DOUBLE)
+    errors[:, :1], errors[:, 5:6] = 1.0, -1.0
     seen = torch.tensor([0.0, -off_m, 0.0], **DOUBLE)
     view = drawn_view(model, own, seen, 12, random)
     truth = drawn_truth(pose, random)
