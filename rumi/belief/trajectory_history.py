@@ -198,6 +198,15 @@ class History:
         alone[told] &= self.kind[begins[:-1][told]] == Kind.SEEN
         return int(alone.long().cumprod(0).sum())
 
+    def met(self) -> Float[Tensor, "p 2"]:
+        """Middles of what was seen, and of what was felt in the first segment in which something was; world frame."""
+        at = torch.searchsorted(self.point_ends, torch.arange(len(self.points)), right=True)
+        segment = torch.searchsorted(self.ends, at, right=True)
+        felt, seen = (self.kind == Kind.FELT) | (self.kind == Kind.PAD_FELT), self.kind == Kind.SEEN
+        first = felt & (segment == (segment[felt].min() if bool(felt.any()) else 0))
+        some = [self.points[part, :2].mean(0) for part in (seen, first) if bool(part.any())]
+        return torch.stack(some) if some else self.points.new_zeros(0, 2)
+
     def since_push(self) -> Int[Tensor, "m"]:
         """The points that were sensed after the last push."""
         moving = self.moving()

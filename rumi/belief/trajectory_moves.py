@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rumi.belief.pose_trajectories import OWN, PHYSICS, Trajectories
 from rumi.belief.pushed_model import Pushed
-from rumi.belief.systematic_errors import SIZE, VIEW, WEAR, SystematicErrors, as_it_is, as_seen
+from rumi.belief.systematic_errors import NUMBERS, SIZE, VIEW, WEAR, SystematicErrors, as_it_is, as_seen
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
@@ -27,6 +27,7 @@ KERNEL = (0.0008, 0.0008, math.radians(2.0))
 """Deviations of start poses drawn anew about those that are left open."""
 
 _AFRESH, _SPUN = 0.15, 0.3
+_OFF = [k for k in range(NUMBERS) if k not in (WEAR, SIZE)]  # errors of tool and view
 _AT_ONCE = 1 << 16  # pairs of poses whose densities are worked out together: what a processor's cache holds
 _FAR = 1e4  # minus the log-density of what is never drawn: finite, since differences of it are taken
 
@@ -55,7 +56,7 @@ class Moves:
             given = self.shifted(given, history, whole=True)
             given = self.restarted(given, history)
             given = self.spun(given, history)
-            given = self.erred(self.translated(given, history), history)
+            given = self.reshaped(self.erred(self.translated(given, history), history), history)
             if len(history.moving()):
                 given = self.learnt(self.slid(given, history), history)
         return given
@@ -140,24 +141,45 @@ class Moves:
         return self.accepted(given, proposed, history, torch.full((len(given),), told), odds)
 
     def erred(self, given: Trajectories, history: History) -> Trajectories:
-        """Systematic errors, all of them or one, turned towards a fresh draw; what they change is replayed.
+        """Errors of tool and view, all of them or one, turned towards a fresh draw; what they change is replayed.
 
         The object stays where the view has it, so that where the view alone is off it is not weighed anew.
         """
         if not given.systematic.shape[1]:
             return given
-        angle = 0.5 * math.pi * self._uniform(len(given))[:, None]
-        turned = self._turned_in_part(given.systematic, angle)
-        proposed = replace(given, physics=torch.cat((given.physics[:, :PHYSICS], turned), -1))
-        changed, shown, before = turned != given.systematic, history.shown(), given.poses[:, 0]
-        off, again = changed[:, VIEW:SIZE].any(-1), changed[:, [WEAR, SIZE]].any(-1)
+        angle, numbers = 0.5 * math.pi * self._uniform(len(given))[:, None], given.systematic.clone()
+        numbers[:, _OFF] = self._turned_in_part(given.systematic[:, _OFF], angle)
+        proposed = replace(given, physics=torch.cat((given.physics[:, :PHYSICS], numbers), -1))
+        shown, before = history.shown(), given.poses[:, 0]
+        off, again = (numbers != given.systematic)[:, VIEW:SIZE].any(-1), torch.zeros(len(given), dtype=torch.bool)
         if shown:
             start = torch.where(off[:, None], self.unseen(proposed, self.seen(given, before)), before)
             poses = given.poses.clone()
             poses[:, : shown + 1] = start[:, None]
-            proposed, again = replace(proposed, poses=poses), again | (off & (start == before).all(-1))
+            proposed, again = replace(proposed, poses=poses), off & (start == before).all(-1)
         odds = self._start_prior(proposed) - self._start_prior(given)
         return self.accepted(given, proposed, history, torch.where(again, 0, shown), odds)
+
+    def reshaped(self, given: Trajectories, history: History) -> Trajectories:
+        """Wear and size, both or one, turned towards a fresh draw.
+
+        One touch leaves size and place open together: the larger the object, the farther off its middle is. So what was
+        touched first, or what was seen, stays where it is on the object as the size changes.
+        """
+        own, about = self.settings, history.met()
+        if not (own.size_off > 0 or own.worn[1] > 0):
+            return given
+        count, shape = len(given), [PHYSICS + WEAR, PHYSICS + SIZE]
+        angle, physics = 0.5 * math.pi * self._uniform(count)[:, None] ** 2, given.physics.clone()
+        physics[:, shape] = self._turned_in_part(given.physics[:, shape], angle)
+        grown, poses = own.size_off * (physics - given.physics)[:, shape[1]], given.poses.clone()
+        if len(about):
+            middle = about[(self._uniform(count) * len(about)).long()]
+            poses[:, 0, :2] = middle + grown.exp()[:, None] * (poses[:, 0, :2] - middle)
+        proposed = replace(given, poses=poses, physics=physics)
+        odds = self._start_prior(proposed) - self._start_prior(given)
+        odds = odds + 2.0 * grown * bool(len(about))  # places are that much farther apart
+        return self.accepted(given, proposed, history, torch.zeros(count, dtype=torch.long), odds)
 
     def _turned_in_part(self, numbers: Float[Tensor, "N P"], angle: Float[Tensor, "N 1"]) -> Float[Tensor, "N P"]:
         """Standard normals, all of a particle's or one, turned by an angle towards a fresh draw."""
