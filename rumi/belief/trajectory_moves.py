@@ -4,7 +4,8 @@ Noise of a segment, or the physics, turns towards a fresh draw of its prior; noi
 start pose and physics where that is the first, goes by the difference of two other particles. The particles are moved
 half by half, with differences of the other half, so that each half's proposals are symmetric whatever the other is.
 Friction and lever are drawn given those of all segments (Gibbs), which moves no trajectory. Systematic errors turn
-towards a fresh draw, and object, tool and view are translated together, of which readings can hardly tell.
+towards a fresh draw, size about what was touched; object, tool and view are translated together, of which readings can
+hardly tell.
 """
 
 import math

@@ -354,3 +354,37 @@ def test_systematic_errors_move_before_anything_was_sensed(model):
     given = particles(nothing, 50, numbers(50))
     after = Moves(model, OWN, generator(6)).translated(given, nothing)
     assert bool((after.poses[:, 0] != given.poses[:, 0]).any(-1).all())
+
+
+def test_what_was_met_is_seen_or_felt_first():
+    history = history_of_a_push()
+    seen = history.points[history.kind == Kind.SEEN, :2].mean(0)
+    pushed = torch.arange(len(history.points)) >= history.point_ends[history.ends[1] - 1]
+    felt = (history.kind == Kind.FELT) | (history.kind == Kind.PAD_FELT)
+    first = pushed & (torch.arange(len(history.points)) < history.point_ends[history.ends[2] - 1])
+    torch.testing.assert_close(history.met(), torch.stack((seen, history.points[felt & first, :2].mean(0))))
+    assert History.empty().met().shape == (0, 2)
+    assert len(history.since(2).met()) == 1
+
+
+def test_what_was_met_stays_on_the_object_as_its_size_moves(model):
+    """Of a block felt at one face alone its size is open, and its middle is as much farther off that face."""
+    own = replace(EXACT, size_off=0.05)
+    face = torch.tensor([[-0.04, y, 0.0] for y in (-0.02, -0.01, 0.0, 0.01, 0.02)], **DOUBLE)
+    still, count = torch.zeros(1, 2, 3, **DOUBLE), torch.zeros(len(face), dtype=torch.long)
+    felt = Segment(still, False, face, count, count + int(Kind.FELT), torch.ones(len(face), **DOUBLE))
+    history = History.empty().appended(felt)
+    before = replayed(model, own, particles(history, 200, numbers(200)))
+    now, moves = before, Moves(model, own, generator(7))
+    for _ in range(20):
+        now = moves.reshaped(now, history)
+
+    def there(given: Trajectories) -> torch.Tensor:
+        """Where the face's middle is on the object, in its model's size."""
+        size = SystematicErrors.of(own, given.systematic).size
+        return (given.pose[:, :2] - face.mean(0)[:2]) / size[:, None]
+
+    torch.testing.assert_close(there(now), there(before), atol=1e-9, rtol=0)
+    size = now.systematic[:, SIZE]
+    assert float((size != before.systematic[:, SIZE]).double().mean()) > 0.9
+    assert 0.8 < float(size.std()) < 1.2 and abs(float(size.mean())) < 0.25  # one face says nothing of it
