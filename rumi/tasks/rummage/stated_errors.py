@@ -57,11 +57,11 @@ def as_inexact(
     Args:
         own: of the belief.
         simulator: what is stated.
-        bounds: of the object, of which half the lesser width turns a depth of wear into a share of its size.
+        bounds: of the object, of which the lesser width turns a depth of wear into a share of its size.
         camera: whose calibration is off, if there is one.
     """
     build, sensors, pads = simulator.build, simulator.sensors, simulator.pads
-    half_m = 0.5 * float((bounds[1] - bounds[0])[:2].min())
+    width_m = float((bounds[1] - bounds[0])[:2].min())
     known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
     wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
     drawn_near = 0.0 if own.eye_m is not None else _NEARER * sensors.depth_noise_m / math.sqrt(2.0)
@@ -73,7 +73,7 @@ def as_inexact(
         tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
         tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
         worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], build.worn_m / math.sqrt(12.0))),
-        size_off=math.hypot(own.size_off, build.scale / math.sqrt(3.0), build.worn_m / (half_m * math.sqrt(3.0))),
+        size_off=math.hypot(own.size_off, build.scale / math.sqrt(3.0), build.worn_m / (width_m * math.sqrt(3.0))),
         first_particles=own.first_particles if known else max(own.first_particles, _FIRST),
         missed=max(own.missed, pads.missed),
         dead=max(own.dead, pads.dead),

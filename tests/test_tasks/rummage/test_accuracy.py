@@ -65,7 +65,7 @@ def test_systematic_errors_have_the_deviations_of_what_is_drawn():
     assert found.tool_off_m == pytest.approx(0.002 * math.sqrt(0.5))
     assert found.worn[0] == pytest.approx(0.0015)
     assert found.worn[1] == pytest.approx(0.003 / math.sqrt(12.0))
-    assert found.size_off == pytest.approx(math.hypot(0.02, 0.003 / 0.03) / math.sqrt(3.0))
+    assert found.size_off == pytest.approx(math.hypot(0.02, 0.003 / 0.06) / math.sqrt(3.0))
     assert found.centre_m == pytest.approx(math.hypot(OWN.centre_m, 0.01 / math.sqrt(5.0)))
     assert found.view_off_m == 0.0 and found.seen_sd_m == OWN.seen_sd_m
     assert found.across > OWN.across and found.least_m > OWN.least_m
