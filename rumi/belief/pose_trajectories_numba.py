@@ -34,12 +34,11 @@ def _readings(first, last, pose, worn, points, weight, row, logs, inverse, flat,
 
 
 @block
-def _of_the_model(lattice, size, worn, resting):
-    """A lattice that takes points of an object of another size, which stands lower by what is worn off."""
+def _of_the_model(lattice, size, lift):
+    """A lattice that takes points of an object of another size, once they are lifted to where its model's are."""
     kind = type(lattice[0])
     per_m = lattice[0] / kind(size)
-    lift = kind((resting + worn) - size * resting)
-    placed = per_m, lattice[1], lattice[2], lattice[3] + per_m * lift
+    placed = per_m, lattice[1], lattice[2], lattice[3] + per_m * kind(lift)
     return placed + lattice[4:]
 
 
@@ -183,8 +182,9 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
     points, weight, row = sensed
     begin, total, exact, enough = first[n], 0.0, len(errors) == 0, least[n] - _SLACK
     worn, factor = (0.0, 1.0) if exact else (errors[n, 3], errors[n, 7])
-    # distances are looked up in metres of the model
-    thin, lattice = np.float32(worn / factor), _of_the_model(lattice, factor, worn, scales[23])
+    # distances are looked up in metres of the model, which stands higher by what is worn off, and by its size
+    lift = (scales[23] + worn) - factor * scales[23]
+    thin, lattice = np.float32(worn / factor), _of_the_model(lattice, factor, lift)
     resized(shape[3], factor, numbers)
     shape = shape[0], shape[1], shape[2], numbers, shape[4], shape[5]
     x, y, yaw = poses[n, begin, 0], poses[n, begin, 1], poses[n, begin, 2]
@@ -228,7 +228,7 @@ def _one(n, particles, done, sensed, shape, scales, logs, errors, eye, flat, lat
                     shown = point
                     while shown < behind and row[shown] == 0:
                         shown += 1
-                    seen_from = eye[0], eye[1], eye[2] + (scales[23] + worn) - factor * scales[23]
+                    seen_from = eye[0], eye[1], eye[2] + lift
                     toward = toward_camera(
                         at_x, at_y, math.cos(turned), math.sin(turned), seen_from, factor * scales[22]
                     )

@@ -200,8 +200,7 @@ class History:
 
     def met(self) -> Float[Tensor, "p 2"]:
         """Middles of what was seen, and of what was felt in the first segment in which something was; world frame."""
-        at = torch.searchsorted(self.point_ends, torch.arange(len(self.points)), right=True)
-        segment = torch.searchsorted(self.ends, at, right=True)
+        segment = self._segments()
         felt, seen = (self.kind == Kind.FELT) | (self.kind == Kind.PAD_FELT), self.kind == Kind.SEEN
         first = felt & (segment == (segment[felt].min() if bool(felt.any()) else 0))
         some = [self.points[part, :2].mean(0) for part in (seen, first) if bool(part.any())]
@@ -214,12 +213,16 @@ class History:
 
     def worth(self) -> Float[Tensor, "S kinds"]:
         """Independent readings of each kind that each segment's points are worth; a force errs as felt points do."""
-        at = torch.searchsorted(self.point_ends, torch.arange(len(self.points)), right=True)
-        segment = torch.searchsorted(self.ends, at, right=True)
+        segment = self._segments()
         flat = torch.zeros(len(self) * len(Kind), dtype=torch.float64)
         flat = flat.index_add_(0, len(Kind) * segment + self.kind, self.weight.double())
         flat[int(Kind.FELT) :: len(Kind)] += self.force[:, 2]
         return flat.view(len(self), len(Kind))
+
+    def _segments(self) -> Int[Tensor, "M"]:
+        """The segment of each point."""
+        instant = torch.searchsorted(self.point_ends, torch.arange(len(self.points)), right=True)
+        return torch.searchsorted(self.ends, instant, right=True)
 
     def _points_before(self, segment: int) -> int:
         """Number of points of the segments before one."""
