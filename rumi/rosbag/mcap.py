@@ -9,7 +9,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 from sdf.extras import optional
 
@@ -67,23 +67,23 @@ class Walk:
                     self.problems.append(f"the file ends without its index, after {at} bytes: it was cut short")
                     return
                 code, length = head[0], struct.unpack("<Q", head[1:])[0]
+                left = size - file.tell()
                 if code == _FOOTER:
                     return
                 if not _HEADER <= code <= _LAST or length > _LONGEST:
                     self.problems.append(f"the file is damaged at byte {at}: {size - at} bytes from there are left out")
                     return
                 if code == _CHUNK:
-                    yield from self._chunk(file, at, length)
+                    yield from self._chunk(file.read(min(length, left)), at)
                     file.seek(at + 9 + length)
                     continue
-                content = file.read(length)
+                content = file.read(min(length, left))  # a damaged length may be of more than fits in memory
                 if len(content) < length:
                     self.problems.append(f"the file ends within a record, at byte {at}: it was cut short")
                     return
                 yield from self._record(code, content)
 
-    def _chunk(self, file: BinaryIO, at: int, length: int) -> Iterator[Message]:
-        content = file.read(length)
+    def _chunk(self, content: bytes, at: int) -> Iterator[Message]:
         try:
             _, _, whole, crc, named = struct.unpack_from("<QQQII", content)
             packing = content[32 : 32 + named].decode()

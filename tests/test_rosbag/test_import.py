@@ -176,6 +176,27 @@ def test_of_a_damaged_bag_the_rest_is_kept(bags, tmp_path, mapping, kind):
         assert any("left out" in problem for problem in done.problems)
 
 
+@pytest.mark.parametrize("code", [0x06, 0x04])
+def test_a_length_far_beyond_the_file_costs_what_is_behind_it_alone(bags, tmp_path, mapping, code):
+    file, rows = big(bags, tmp_path / "bag")
+    data = file.read_bytes()
+    cut = int(0.6 * len(data))
+    broken = tmp_path / "broken.mcap"
+    whole = records_of(data, cut)
+    broken.write_bytes(data[:whole] + bytes([code]) + (1 << 39).to_bytes(8, "little") + data[whole + 9 : cut])
+    done = import_bag(broken, mapping, tmp_path / "log.h5")
+    assert done.rows["cloud"] >= 0.6 * rows - 4
+    assert any("cut short" in problem for problem in done.problems)
+
+
+def records_of(data: bytes, end: int) -> int:
+    """Where the last record of an MCAP file that begins before an end begins."""
+    at = 8
+    while (after := at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")) < end:
+        at = after
+    return at
+
+
 def test_messages_that_make_no_sense_are_counted(bags, tmp_path, mapping):
     maker = bags.Maker(tmp_path / "bag")
     maker.wrench("/wrench", bags.START, "sensor", np.zeros(6))
