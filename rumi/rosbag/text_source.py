@@ -88,7 +88,7 @@ def _samples(file: Path) -> Iterator[Message]:
 
 def _rows(file: Path) -> Iterator[Row]:
     try:
-        with file.open(newline="", encoding="utf-8") as lines:
+        with file.open(newline="", encoding="utf-8-sig") as lines:
             if file.suffix == ".csv":
                 for row in csv.DictReader(lines, skipinitialspace=True):
                     yield {str(name).strip(): value for name, value in row.items()}

@@ -129,6 +129,12 @@ def test_every_kind_of_column_becomes_its_stream(tmp_path):
     assert [len(values["points"].reshape(-1, 3)) for _, values in found] == [2, 1], "a cloud a stamp"
 
 
+def test_a_mark_of_the_byte_order_is_no_part_of_the_first_column(tmp_path):
+    for name, text in (("touch.csv", "stamp_s,touched\n1,1\n"), ("touch.jsonl", '{"stamp_s": 1, "touched": 1}\n')):
+        _, found = imported(tmp_path, name, "\ufeff" + text, '"contact"')
+        assert [stamp for stamp, _ in found] == [10**9]
+
+
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
