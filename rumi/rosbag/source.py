@@ -8,6 +8,9 @@ from rumi.errors import UsageError
 from rumi.rosbag.mcap import Message, Walk
 from sdf.extras import optional
 
+_PACKED = ".zstd"
+_NAMES = (".mcap", ".db3", f".mcap{_PACKED}", f".db3{_PACKED}")
+
 
 class BagError(Exception):
     """The bag cannot be read, or not further."""
@@ -90,9 +93,13 @@ class BagSource:
 
 
 def _files(bag: Path) -> list[Path]:
-    if bag.is_file():
-        return [bag]
-    found = sorted(file for file in bag.iterdir() if file.suffix in (".mcap", ".db3"))
+    found = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if file.name.endswith(_NAMES))
+    packed = [file.name for file in found if file.suffix == _PACKED]
+    if packed and not (bag / "metadata.yaml").is_file():  # by which rosbags unpacks them
+        raise UsageError(
+            f"{packed[0]} is compressed as a whole: give the folder that it lies in, with its metadata.yaml, or unpack "
+            f"it by `unzstd {packed[0]}`"
+        )
     if not found:
         raise UsageError(f"Expected a bag in the folder {bag}, found no .mcap and no .db3 file there")
     return found

@@ -312,6 +312,17 @@ def test_a_folder_without_its_metadata_is_read(bags, tmp_path, mapping):
     assert import_bag(file.parent, mapping, tmp_path / "log.h5").rows == {"wrench": 3}
 
 
+def test_a_folder_whose_files_are_packed_as_wholes_is_read(bags, tmp_path, mapping):
+    file = wrenches(bags, tmp_path / "bag", [0, 1, 2], packed_files=True)
+    (packed,) = file.parent.glob("*.zstd")
+    assert import_bag(file.parent, mapping, tmp_path / "log.h5").rows == {"wrench": 3}
+    with pytest.raises(UsageError, match="give the folder that it lies in"):
+        import_bag(packed, mapping, tmp_path / "alone.h5")
+    (file.parent / "metadata.yaml").unlink()
+    with pytest.raises(UsageError, match="give the folder that it lies in"):
+        import_bag(file.parent, mapping, tmp_path / "none.h5")
+
+
 def test_the_command(bags, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "map.toml").write_text(ALL_ROLES)
