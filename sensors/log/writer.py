@@ -3,6 +3,7 @@
 import enum
 import json
 import time
+import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -71,7 +72,7 @@ class LogWriter:
 
     A log that grows in its place (`live`) is readable at any time, also after a kill: all that was flushed is kept.
     Its streams are known from the start. One that is written aside and put in its place when it is finished may add
-    streams at any time, and is compressed.
+    streams at any time, and is compressed; where the block fails, nothing is left of it.
 
     Args:
         path: of the file; it must not exist.
@@ -100,13 +101,15 @@ class LogWriter:
         future_s: float = 1.0,
     ) -> None:
         self.path, self._live, self._future_ns = Path(path), live, int(future_s * 1e9)
-        self._writes_to = self.path if live else self.path.with_name(self.path.name + ".part")
+        # beside it, under a name that no other writer of the same log takes
+        aside = self.path.with_name(f".{uuid.uuid4().hex[:12]}-{self.path.name}")
+        self._writes_to = self.path if live else aside
         h5py = optional("h5py", "A log")
         if self.path.exists():
             raise LogError(f"{self.path} exists: give another name, or remove it")
         try:
             # the latest format is the one that can be read while it grows
-            self._file = h5py.File(self._writes_to, "w" if not live else "x", libver="latest")
+            self._file = h5py.File(self._writes_to, "x", libver="latest")
         except OSError as error:
             raise LogError(f"Cannot write {self.path}: {error}") from error
         root = self._file.attrs
@@ -249,4 +252,7 @@ class LogWriter:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.close()
+        if error[0] is not None and not self._live:
+            self.discard()
+        else:
+            self.close()

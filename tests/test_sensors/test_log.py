@@ -185,11 +185,29 @@ def test_a_log_that_grows_is_readable(tmp_path):
 
 
 def test_an_unfinished_aside_file_is_left_out_of_the_way(tmp_path):
-    with pytest.raises(RuntimeError, match="stop"), LogWriter(tmp_path / "log.h5", live=False) as log:
+    with pytest.raises(RuntimeError, match="stop"), LogWriter(tmp_path / "log.h5", live=False):
         assert not (tmp_path / "log.h5").exists()
-        log.discard()
         raise RuntimeError("stop")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_live_log_keeps_what_was_written_before_an_error(tmp_path):
+    with pytest.raises(RuntimeError, match="stop"), LogWriter(tmp_path / "log.h5", STREAMS) as log:
+        log.append("wrench", 1, force=np.zeros(3), torque=np.zeros(3))
+        raise RuntimeError("stop")
+    with Log(tmp_path / "log.h5") as log:
+        assert len(log.stream("wrench").samples()) == 1
+
+
+def test_two_logs_written_aside_for_one_name_are_each_whole(tmp_path):
+    first, second = (LogWriter(tmp_path / "log.h5", STREAMS, live=False) for _ in range(2))
+    for log, step in ((first, 1), (second, 2), (first, 3)):
+        log.append("wrench", step, force=np.full(3, step), torque=np.zeros(3))
+    first.finish({})
+    with Log(tmp_path / "log.h5") as log:
+        assert [one.values["force"][0] for one in log.stream("wrench").samples()] == [1, 3]
+    second.discard()
+    assert [path.name for path in tmp_path.iterdir()] == ["log.h5"]
 
 
 def test_every_field_of_a_reading_has_a_column():
