@@ -224,6 +224,7 @@ def _replay(
     cache_dir: Path,
 ) -> int:
     """Replay readings, made by `mapping` from raw streams where it is given; `scene` is of those that were so made."""
+    from rumi.runs.files import whole_file
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder, write_json
     from rumi.runs.replay import replay as take_in
     from rumi.tasks.rummage.geometry import geometry_of
@@ -258,13 +259,14 @@ def _replay(
         recorder = None
         if options.out is not None:
             recorder = stack.enter_context(RunRecorder(options.out, entry.as_dict(settings), geometry_of(agent)))
+            if scene is not None:  # before the steps: without it nobody could read those that a kill leaves
+                with whole_file(options.out / MAP) as aside:
+                    aside.write_text(scene.text, encoding="utf-8")
             if (model := getattr(agent, "model", None)) is not None:
                 write_json(options.out / "object.json", record(model))
         seen = on_step if recorder is None else both(recorder, on_step)
         done = take_in(taken, agent, seed=settings.seed, on_step=seen, wrap=_in_dtype(settings, taken))
         if recorder is not None:
-            if scene is not None:
-                (recorder.folder / MAP).write_text(scene.text, encoding="utf-8")
             recorder.finish(done.result)
     interrupted = done.result.stopped_by == "interrupted"
     if options.figures and options.out is not None and not interrupted:

@@ -35,7 +35,7 @@ from sdf.cache import DAMAGED
 SCHEMA = 1
 """Version of the run folder; raised when an older reader would misread a newer folder."""
 
-FILES = ("log.h5", "object.json", "steps.jsonl", "trace.npz", "settings.json")
+FILES = ("log.h5", "map.toml", "object.json", "steps.jsonl", "trace.npz", "settings.json")
 """What is written before the first step, in the order in which it may be removed."""
 
 

@@ -129,6 +129,22 @@ def test_the_command(log, tmp_path, monkeypatch, capsys, bags):
     assert len(load_run("other").steps) < 6
 
 
+def test_a_killed_replay_leaves_a_folder_that_is_read(log, tmp_path, monkeypatch):
+    """The mapping is there before the first step; of a replay without one nothing is left."""
+    monkeypatch.chdir(tmp_path)
+    held = []
+
+    def killed(*arguments, **options):
+        held.extend(path.name for path in (tmp_path / "run").iterdir())
+        raise RuntimeError("killed")
+
+    monkeypatch.setattr("rumi.runs.replay.replay", killed)
+    with pytest.raises(RuntimeError, match="killed"):
+        main(["replay", str(log), "--out", "run"])
+    assert "map.toml" in held
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("organised", [False, None])
 def test_other_cameras_see_the_same(organised, bags, tmp_path, recorded):
