@@ -238,7 +238,7 @@ def _replay(
     changed = differing(recorded, settings)
     if idle := [name for name in changed if entry.role(name) == "idle"]:
         say(f"{', '.join(idle)}: no effect, since what was done is recorded")
-    taken = log.taken(entry.readings) if mapping is None else made_readings(log, mapping, settings)
+    taken = log.taken() if mapping is None else made_readings(log, mapping, settings)
     for problem in log.problems:
         say(problem)
     if scene is not None:

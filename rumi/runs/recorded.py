@@ -53,7 +53,7 @@ class RunLog:
         self.problems = [] if self._run.ended else ["the run was not finished: what had been written is there"]
         self.streams: dict[str, Any] = {}
 
-    def taken(self, kind: object = None) -> list[RecordedStep]:
+    def taken(self) -> list[RecordedStep]:
         """The steps, in order, their readings of the kind that they were recorded as."""
         return [RecordedStep(step.reading, step.control, step.truth, digest(step.belief)) for step in self._run.steps]
 

@@ -10,7 +10,6 @@ from rumi.registration.pose_summary import PoseSummary
 from rumi.registry import Table
 from rumi.runs.folder import Run
 from rumi.viz.task_view import TaskView
-from sensors.reading import Reading
 
 S = TypeVar("S")
 Role = Literal["counted", "idle", "sensed"]
@@ -44,14 +43,12 @@ class TaskEntry(Protocol[S]):
         settings: dataclass of all that decides a run, the `seed` among it; each field is a flag of `rumi run`, nested
             ones with dots.
         presets: names that `preset` takes, first the one that counts where none is asked for.
-        readings: kind of the readings in logs of before, which were HDF5.
         records: classes that the records of its steps are made of, for traces; none where they are `StepRecord`s.
     """
 
     description: str
     settings: type[S]
     presets: Sequence[str]
-    readings: type[Reading]
     records: Sequence[type]
 
     def preset(self, name: str) -> S:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.extras import optional
+from sensors.contact_reading import ContactReading
 from sensors.log.columns import reading_columns, reading_of
 from sensors.log.errors import LogError
 from sensors.log.repaired_header import RepairedHeader
@@ -168,11 +169,10 @@ class Log:
             raise LogError(f"{self.path} has no stream {name!r}; it has {', '.join(sorted(self.streams)) or 'none'}")
         return self.streams[name]
 
-    def taken(self, kind: type[Reading] = Reading) -> list[Taken]:
+    def taken(self) -> list[Taken]:
         """What the run took in, step by step, up to the first row that is damaged; `problems` says if one was.
 
-        Args:
-            kind: of the readings.
+        The readings are of the first kind that has a field for each of their columns.
 
         Raises:
             LogError: the readings are of a newer rumi, or are not there.
@@ -182,8 +182,14 @@ class Log:
         except DAMAGE:
             raise LogError(f"{self.path} is damaged: its readings are gone") from None
         table = Table(group)
-        known = {column.name for column in reading_columns("f4", kind)}
-        if wrong := sorted({column.name for column in table.columns} - known):
+        wrong: list[str] = []
+        for kind in (Reading, ContactReading):
+            wrong = sorted(
+                {column.name for column in table.columns} - {one.name for one in reading_columns("f4", kind)}
+            )
+            if not wrong:
+                break
+        else:
             raise LogError(f"{self.path} has readings with {wrong[0]}, which this rumi does not know: update rumi")
         found: list[Taken] = []
         for index, row in table.rows():

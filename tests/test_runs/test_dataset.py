@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from torch.utils import _pytree as pytree
@@ -8,6 +10,7 @@ from rumi.runs.dataset import Episode, RecordedRuns, collate_episodes
 from rumi.runs.folder import RunRecorder
 from rumi.runs.recorded import RunLog
 from sdf.containers import index
+from sensors.contact_reading import ContactReading
 from tests.fixtures.made_up_run import make_up
 
 SETTINGS = {"task": "mug-0", "seed": 3}
@@ -61,6 +64,23 @@ def test_a_log_is_read_as_its_run_is(folders, tmp_path):
     (one,) = RecordedRuns([path])
     for logged, traced in zip(*map(pytree.tree_leaves, (one, RecordedRuns(folders)[0])), strict=True):
         assert torch.equal(logged, traced)
+
+
+def test_a_log_with_further_contacts_is_read(folders, tmp_path):
+    """As the handle's were, of before; nobody says of which kind its readings are."""
+    pytest.importorskip("h5py")
+    from sensors.log.writer import LogWriter
+
+    path, steps = tmp_path / "log.h5", RunLog(folders[0]).taken()
+    with LogWriter(path, readings=ContactReading) as log:
+        for step in steps:
+            reading = replace(ContactReading.of(step.reading), signals=step.reading.in_contact)
+            log.reading(reading, control=step.control, truth=step.truth)
+    (one,) = RecordedRuns([path])
+    assert isinstance(one.reading, ContactReading)
+    for k, step in enumerate(steps):
+        count = len(step.reading.in_contact)
+        assert torch.equal(index(one.reading, k).signals[:count], step.reading.in_contact)
 
 
 def test_what_cannot_be_read_is_refused(tmp_path):

@@ -20,7 +20,6 @@ from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.registry import Role, check_preset
 from rumi.tasks.rummage.entry import Rummaging, ending
 from rumi.tasks.rummage.settings import PRESETS
-from sensors.contact_reading import ContactReading
 
 COUNTED = (
     *("seed", "preset", "renewals", "fit_a_contact", "contacts", "steps", "signals", "spread_m"),
@@ -50,7 +49,6 @@ class HandleRunSettings:
 class _Handle(Rummaging):
     description = "a mug seen once, then felt by bubbles, wrench and joint torques, and lifted by its handle"
     settings = HandleRunSettings
-    readings = ContactReading
     presets = ("fast", *(name for name in PRESETS if name != "fast"))
 
     def preset(self, name: str) -> HandleRunSettings:

@@ -22,7 +22,6 @@ from rumi.tasks.peg.simulated import PegTask
 from rumi.tasks.peg.view import PegView
 from rumi.tasks.registry import Role, check_preset
 from sdf.mesh.mesh import TriangleMesh
-from sensors.reading import Reading
 
 _KINDS = ("nothing", "side", "top")
 
@@ -47,7 +46,6 @@ class _Peg:
     description = "a block with two holes on a table, found by touch under a deadline, and a peg put into it"
     settings = PegRunSettings
     presets = ("default", "paper")
-    readings = Reading
     records = PARTS
 
     def preset(self, name: str) -> PegRunSettings:

@@ -29,7 +29,6 @@ from rumi.tasks.rummage.scene_spec import TaskSpec
 from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from rumi.viz.rummaging_view import RummagingView
-from sensors.reading import Reading
 
 ON_A_GPU = (
     "plans are made on the GPU, the belief is followed on the CPU; a planning pass took 12 to 16 ms on an NVIDIA H200, "
@@ -91,7 +90,6 @@ class RummageTask(Rummaging):
 
     settings = Settings
     presets = tuple(PRESETS)
-    readings = Reading
 
     def __init__(self, spec: TaskSpec) -> None:
         self.spec, self.description = spec, spec.description

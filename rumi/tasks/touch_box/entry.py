@@ -26,7 +26,6 @@ from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 from rumi.tasks.touch_box.view import TouchView
 from sdf.mesh.mesh import TriangleMesh
-from sensors.reading import Reading
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,6 @@ class _TouchBox:
     description = "a box in one of two places that only touch can tell, to be found, grasped and lifted"
     settings = TouchBoxSettings
     presets = ("default",)
-    readings = Reading
     records = PARTS
 
     def preset(self, name: str) -> TouchBoxSettings:
