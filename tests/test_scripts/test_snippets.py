@@ -153,11 +153,11 @@ def test_a_dataset_of_runs(here, monkeypatch):
     from tests.fixtures.made_up_run import make_up
 
     made = make_up(3, particles=5)
-    for name in ("runs/mug-0-rumi-default-s0", "runs/other"):
+    for name in ("runs/mug-0-rumi-default-s0", "runs/pushes"):
         with RunRecorder(name, {"task": "mug-0", "seed": 3}, made.geometry) as recorder:
             for step in made.steps:
                 recorder(step)
-    text = code(HOW_TO / "learning.md", "from torch.utils.data").replace('"pushes.h5"', '"runs/other"')
+    text = code(HOW_TO / "learning.md", "from torch.utils.data")
     given = {}
     exec(text.replace("num_workers=2", "num_workers=0"), given)
     assert given["batch"].control.shape[:2] == (2, 3), "two runs of three steps"
