@@ -73,6 +73,7 @@ def machines(log: "Log | RunLog") -> list[str]:
 
     now, then = provenance(), json.loads(log.texts.get("made_with", "{}"))
     then.setdefault("processor", now["processor"])  # logs of before do not tell
+    then.pop("backend", None)  # which they all had as torch
     return [f"recorded with {name} {_at(then, name)}, replayed with {_at(now, name)}" for name in changes(then, now)]
 
 

@@ -20,7 +20,6 @@ def provenance() -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "processor": processor()._asdict(),
         "versions": versions | {"torch": torch.__version__},
-        "backend": "torch",
         "threads": torch.get_num_threads(),
         "commit": _commit(Path(__file__).resolve().parents[2]),
     }

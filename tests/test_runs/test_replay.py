@@ -15,10 +15,11 @@ from rumi import exit_codes
 from rumi.belief.particles import PoseBelief
 from rumi.cli import main
 from rumi.commands.replay import _check_object
-from rumi.commands.replay_summary import changes
+from rumi.commands.replay_summary import changes, machines
 from rumi.errors import UsageError
 from rumi.runs.folder import load_run
 from rumi.runs.progress import Progress
+from rumi.runs.provenance import provenance
 from rumi.runs.replay import digest
 
 pytest.importorskip("h5py")
@@ -265,3 +266,11 @@ def test_changes_are_named_with_dots():
     before = {"a": 1, "b": {"c": 2, "d": [3]}, "e": 5}
     assert changes(before, {"a": 1, "b": {"c": 2, "d": [4]}, "e": None}) == ["b.d", "e"]
     assert changes(before, before) == []
+
+
+def test_records_of_before_that_name_a_backend_are_of_this_machine():
+    then = provenance() | {"backend": "torch"}
+    log = SimpleNamespace(texts={"made_with": json.dumps(then)})
+    assert machines(log) == []
+    log.texts["made_with"] = json.dumps(then | {"threads": 999})
+    assert [line.split(",")[0] for line in machines(log)] == ["recorded with threads 999"]
