@@ -65,7 +65,8 @@ def is_fresh(path: Path, run: Path) -> bool:
     """Whether a recording is there that is younger than all that it shows and all that writes it."""
     try:
         installed = metadata.version("rerun-sdk")
-        before = (*run.glob("*.json*"), run / "trace.npz", *_WRITERS)
+        shown = (*run.glob("*.json*"), run / "trace.npz") if run.is_dir() else (run,)
+        before = (*shown, *_WRITERS)
         with path.open("rb") as file:
             same = tuple(file.read(8)[4:7]) == tuple(int(part) for part in installed.split(".")[:3])
         return same and all(path.stat().st_mtime > one.stat().st_mtime for one in before)

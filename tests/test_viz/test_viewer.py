@@ -85,6 +85,16 @@ def test_a_fresh_recording_is_not_written_again(folder, monkeypatch):
     assert not command.is_fresh(folder / "run.rrd", folder)
 
 
+def test_the_recording_of_a_log_is_fresh_as_long_as_the_log_is_older(folder, tmp_path):
+    log, path = tmp_path / "pushes.h5", tmp_path / "pushes.rrd"
+    log.write_bytes(b"log")
+    command.write(folder, path)
+    assert command.is_fresh(path, log)
+    later = path.stat().st_mtime + 1
+    os.utime(log, (later, later))
+    assert not command.is_fresh(path, log)
+
+
 def test_a_run_keeps_its_recording_where_the_viewer_is_installed(folder, monkeypatch, capsys):
     recordings.keep(folder)
     assert command.is_fresh(folder / "run.rrd", folder)
