@@ -109,12 +109,13 @@ def estimates_of(run: Run, pose_of: Callable[[Run], PoseSummary | None], step: i
         raise UsageError(f"Expected a step of {run.folder}, 0 to {count - 1}, got {step}")
     at_end = step is None or step == count - 1
     known: list[StepEstimate] = []
-    records = [record for record in run.steps[: count if step is None else step + 1] if record.poses is not None]
+    upto = run.steps[: count if step is None else step + 1]
+    placed = [(at, record) for at, record in enumerate(upto) if record.poses is not None]
+    records = [record for _, record in placed]
     clocked = all(b.stamp > a.stamp for a, b in pairwise(records))
-    for record in records:
-        upto = run.steps[: run.steps.index(record) + 1]
-        whole = at_end and len(upto) == count
-        pose = pose_of(run if whole else replace(run, steps=upto, result=None, ended=None))
+    for at, record in placed:
+        whole = at_end and at + 1 == count
+        pose = pose_of(run if whole else replace(run, steps=run.steps[: at + 1], result=None, ended=None))
         tool = record.reading.tool_pose[-1].double() if isinstance(record, StepRecord) else None
         if pose is not None:
             known.append(StepEstimate(record.step, record.stamp if clocked else float(record.step), pose, tool))
