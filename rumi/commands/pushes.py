@@ -12,6 +12,7 @@ import tyro
 from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
+from sdf.extras import optional
 
 _SHARES = (0.5, 0.05, 0.95)  # quantiles that are printed
 
@@ -86,8 +87,15 @@ def pushes(arguments: Sequence[str]) -> int:
     from rumi.commands.replayed import run_folder
     from rumi.dynamics.push_limits import held_twice
     from rumi.dynamics.push_posterior import PushPosterior
+    from rumi.runs.files import whole_file
     from rumi.runs.folder import load_run
+    from rumi.runs.jsonlines import check_writable
 
+    if options.figure is not None:
+        optional("matplotlib", "A figure")
+    for path in (options.out, options.figure):
+        if path is not None:
+            check_writable(path)
     before = PushPosterior.prior() if options.pushes is None else PushPosterior.load(options.pushes)
     with run_folder(options.run) as folder:
         found, body, after = learnt(load_run(folder), before, seed=options.seed)
@@ -111,7 +119,8 @@ def pushes(arguments: Sequence[str]) -> int:
     if bool(twice.any()):
         write(f"{int(twice.sum())} end with the tool at two sides of the object, which is outside of the model\n")
     if options.out is not None:
-        after.save(options.out)
+        with whole_file(options.out) as aside:
+            after.save(aside)
         write(f"{options.out}\n")
     if options.figure is not None:
         from rumi.viz.pushes import push_figure

@@ -22,7 +22,9 @@ from rumi.commands.tasks import listing
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.garbage import give_back
+from rumi.runs.files import whole_file
 from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_empty_on_error
+from rumi.runs.jsonlines import check_writable
 from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
 from rumi.tasks.rummage.settings import Settings, under_conditions
@@ -82,6 +84,8 @@ def run(arguments: Sequence[str]) -> int:
         optional("matplotlib", "A figure (--no-figures draws none)")
     if options.view:
         optional("rerun", "--view")
+    if options.pushes is not None:
+        check_writable(options.pushes)
     label = entry.label(settings)
     folder = options.out or free_folder(Path("runs") / label)
     prepare_folder(folder)
@@ -208,7 +212,8 @@ def keep_learnt(folder: Path, file: Path, seed: int) -> None:
     except UsageError as error:
         say(f"no push parameters were learnt: {error}")
         return
-    after.save(file)
+    with whole_file(file) as aside:
+        after.save(aside)
     say(f"{len(found)} pushes learnt from; {file}")
 
 

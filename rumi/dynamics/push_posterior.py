@@ -231,7 +231,7 @@ class PushPosterior:
         return ends, known.scale * self.residual.scale(way), torch.atan2(along[:, 1], along[:, 0])
 
     def save(self, path: Path) -> None:
-        """Write to a JSON file, whole or not at all."""
+        """Write to a JSON file."""
         data = {
             "format": _FORMATS[-1],
             "names": list(PARAMETERS),
@@ -244,9 +244,7 @@ class PushPosterior:
             "white": self._all[:, len(PARAMETERS) :].tolist(),
             "pushes": [{name: part.tolist() for name, part in push._asdict().items()} for push in self.pushes],
         }
-        aside = path.with_name(path.name + ".part")
-        aside.write_text(json.dumps(data))
-        aside.replace(path)
+        path.write_text(json.dumps(data))
 
     @classmethod
     def load(cls, path: Path) -> "PushPosterior":

@@ -55,7 +55,7 @@ def push_figure(
         own.set_xlabel("friction")
         own.set_ylabel("lever, of even pressure's")
         own.legend(markerscale=2)
-        figure.savefig(out)
+        style.save(figure, out)
 
 
 def draw_push(ax: "Axes", belief: PushPosterior, push: ObservedPush, body: PushedBody) -> None:

@@ -283,6 +283,20 @@ def test_pushes_of_a_run_are_learnt_from(tmp_path, capsys):
     assert not list(Path("runs").glob("*"))
 
 
+@pytest.mark.parametrize("flag", ["--out", "--figure"])
+def test_where_pushes_cannot_be_written_they_are_not_learnt(flag, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("rumi.commands.pushes.learnt", lambda *_, **__: pytest.fail("learnt"))
+    assert main(["pushes", str(tmp_path / "run"), flag, str(tmp_path)]) == exit_codes.BAD_INPUT
+    assert f"Cannot write {tmp_path}: it is a folder" in capsys.readouterr().err
+
+
+def test_a_run_whose_pushes_cannot_be_kept_is_not_begun(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    assert run_small("--pushes", str(tmp_path / "file" / "mug.json")) == exit_codes.BAD_INPUT
+    assert f"Cannot write {tmp_path / 'file' / 'mug.json'}" in capsys.readouterr().err
+    assert not list(Path("runs").glob("*"))
+
+
 def test_a_run_goes_on_from_the_pushes_of_the_last(tmp_path, capsys):
     made, file = make_up(9, particles=10), tmp_path / "mug.json"
     settings = preset(task="mug-0")
