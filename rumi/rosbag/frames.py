@@ -77,7 +77,9 @@ class FrameTree:
     def of_log(cls, log: Log, mapping: BagMap) -> "FrameTree":
         """The frames of a log's pose streams, with the mapping's fixed ones in the place of recorded ones."""
         edges: dict[str, Edge] = {}
+        placed_by: dict[str, str] = {}
         problems: list[str] = []
+        fixed = {one.child for one in mapping.fixed}
         for stream in log.streams.values():
             if stream.kind != "pose":
                 continue
@@ -98,7 +100,11 @@ class FrameTree:
                 continue
             if stream.about.get("static"):
                 stamps, poses = stamps[:0], poses[-1:]
-            edges[child] = Edge(parent, stamps, poses)
+            if child in edges and child not in fixed:
+                problems.append(
+                    f"streams {placed_by[child]} and {stream.name} both place the frame {child}: {stream.name} counts"
+                )
+            edges[child], placed_by[child] = Edge(parent, stamps, poses), stream.name
         for one in mapping.fixed:
             edges[one.child] = Edge(one.parent, torch.zeros(0, dtype=torch.long), one.pose()[None])
         frames = mapping.frames

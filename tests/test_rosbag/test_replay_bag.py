@@ -17,6 +17,7 @@ from rumi.runs.folder import load_run
 from rumi.runs.replay import replay
 from sdf import se3
 from sensors.log.reader import Log
+from sensors.log.writer import LogWriter, StreamSpec
 from sensors.semantics import Semantics
 
 pytestmark = pytest.mark.sim
@@ -227,6 +228,22 @@ def test_frames_are_put_together_and_interpolated():
     for k, part in ((0, 0.0), (1, 0.5), (2, 1.0)):
         expected = rise @ se3.inverse(turned(0.0, 0.3)) @ turned(part, part) @ turned(0.5, 0.2)
         torch.testing.assert_close(pose[k], expected)
+
+
+def test_a_frame_of_two_streams_is_told(tmp_path, bags):
+    streams = [
+        StreamSpec(name, "pose", about={"parent": parent, "child": "hand"})
+        for name, parent in (("arm/hand", "arm"), ("base/hand", "base"))
+    ]
+    with LogWriter(tmp_path / "log.h5", streams) as written:
+        for stream in streams:
+            written.append(stream.name, 1000, 1000, pose=turned(0.0, 0.0).numpy())
+    fixed = '\n[[fixed]]\nparent = "base"\nchild = "hand"\nposition_m = [0, 0, 0]\nrpy_deg = [0, 0, 0]\n'
+    with Log(tmp_path / "log.h5") as opened:
+        tree = FrameTree.of_log(opened, mapping_of(bags.MAP))
+        assert tree.problems == ["streams arm/hand and base/hand both place the frame hand: base/hand counts"]
+        assert tree.chains("hand")[0] == ["hand", "base"]
+        assert FrameTree.of_log(opened, mapping_of(bags.MAP + fixed)).problems == []
 
 
 def test_gaps_in_frames_are_not_bridged():
