@@ -1,5 +1,6 @@
 """All figures of a run, as files."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,7 +47,8 @@ def make_figures(run: Run, out: Path | str, steps: Sequence[int] | None = None) 
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("scene_*.png"):  # of an earlier choice of steps
-        old.unlink(missing_ok=True)
+        if re.fullmatch(r"scene_\d{3,}\.png", old.name):
+            old.unlink(missing_ok=True)
     extent = interesting(run.steps, run.geometry)
     written = [_save_curves(run, folder / "curves.png")]
     written += [_save_scene(run, run.geometry, step, extent, folder / f"scene_{step:03d}.png") for step in chosen]

@@ -72,8 +72,11 @@ def test_all_figures_are_written(run, tmp_path):
     with Image.open(tmp_path / "figures" / "run.gif") as image:
         assert image.n_frames == len(run.steps)
     # another choice replaces the scenes, nothing else
+    others = {"scene_from_above.png", "scene_1.png"}
+    for name in others:
+        (tmp_path / "figures" / name).touch()
     make_figures(replace(run, steps=run.steps[:3]), tmp_path / "figures", [2])
-    assert [path.name for path in (tmp_path / "figures").glob("scene_*.png")] == ["scene_002.png"]
+    assert {path.name for path in (tmp_path / "figures").glob("scene_*.png")} == {"scene_002.png", *others}
 
 
 def test_the_animation_keeps_the_tool_in_sight_and_the_ending_to_the_end(run, tmp_path, monkeypatch):
