@@ -61,13 +61,14 @@ class RunRecorder:
         prepare_folder(self.folder)
         _claim(self.folder, {"schema": SCHEMA, **plain(settings), "made_with": provenance()})
         try:
-            with naming(self.folder):
-                self._trace = TraceWriter(self.folder / "trace.npz")
-                self._lines = (self.folder / "steps.jsonl").open("w", encoding="utf-8")
+            with naming(self.folder), contextlib.ExitStack() as opened:
+                self._trace = opened.enter_context(TraceWriter(self.folder / "trace.npz"))
+                self._lines = opened.enter_context((self.folder / "steps.jsonl").open("w", encoding="utf-8"))
                 self._trace.json("format", {"schema": SCHEMA})
                 self._trace.flush()
-            if geometry is not None:
-                self.scene(geometry)
+                if geometry is not None:
+                    self.scene(geometry)
+                opened.pop_all()  # from here on `close` closes them
         except BaseException:
             self._discard()
             raise
