@@ -21,8 +21,8 @@ from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.errors import UsageError
 from rumi.rosbag.bag import import_bag
 from rumi.rosbag.mapping_file import mapping_of
-from rumi.rosbag.recorded_pushes import PushRecording, read_pushes
 from scripts.bench.real_pushes import TIP_M, polygon_body
+from scripts.bench.recorded_pushes import PushRecording, read_pushes
 from sdf import se3
 
 MAP = """

@@ -14,8 +14,8 @@ from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.rosbag.bag import check_frames, import_bag
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping_file import mapping_of, read_mapping
-from rumi.rosbag.recorded_pushes import read_pushes
 from scripts import recorded_bags
+from scripts.bench.recorded_pushes import read_pushes
 from scripts.bench.vicon_pushes import MAP
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
