@@ -13,7 +13,6 @@ from rumi import loop
 from rumi.cache import cache_folder
 from rumi.commands.explain import Decisions, explain
 from rumi.commands.flags import FLAGS
-from rumi.commands.former_flags import renamed
 from rumi.commands.glossary import FIGURE, GLOSSARY
 from rumi.commands.kernels_ahead import kernels_ahead
 from rumi.commands.pushes import learnt, level_rummager
@@ -175,9 +174,10 @@ def parse(
         say(f"the task {name} is now {FORMER_NAMES[name]}")
         name = FORMER_NAMES[name]
     entry = TASKS[name]
-    flags = renamed(entry.settings, arguments[1:])
     # the settings start from a preset and conditions, which have to be known before their flags are read
-    asked, _ = tyro.cli(_Start, args=flags, default=_Start(entry.presets[0]), add_help=False, return_unknown_args=True)
+    asked, _ = tyro.cli(
+        _Start, args=arguments[1:], default=_Start(entry.presets[0]), add_help=False, return_unknown_args=True
+    )
     start = entry.preset(asked.preset)
     if asked.conditions is not None and isinstance(start, Settings):
         start = under_conditions(start, asked.conditions)
@@ -185,7 +185,7 @@ def parse(
         kind[entry.settings],
         prog=f"rumi {command} {name}",
         description=f"{entry.description}. The presets are {', '.join(entry.presets)}.",
-        args=flags,
+        args=arguments[1:],
         default=kind(start, asked.preset),
         registry=FLAGS,
     )

@@ -63,7 +63,6 @@ def test_conditions_are_said_and_kept():
     ("flags", "words"),
     [
         (["mug-0", "--conditions", "outdoors"], "no conditions 'outdoors'; there are ideal, lab, harsh"),
-        (["mug-0", "--degraded"], "--degraded is --conditions lab now"),
         (["drill", "--simulator.view.holes", "0.1"], "a task with a camera with --simulator.view.holes 0.1"),
         (["drill", "--simulator.sensors.calibration-m", "0.1"], "a task with a camera with --simulator.sensors.cal"),
         (["mug-0", "--simulator.sensors.kind", "both", "--simulator.pads.dead", "0.1"], "kind points with"),

@@ -88,28 +88,9 @@ def test_flags_reach_the_settings():
     assert (touch.plan_budget_s, touch.task.rates, touch.settings.filter.sweeps) == (0.1, (0.9, 0.05), 1)
 
 
-@pytest.mark.parametrize(
-    ("former", "now"),
-    [
-        ("mug-0 --budget 0.05", "mug-0 --plan-budget-s 0.05"),
-        ("mug-0 --budget=0.05", "mug-0 --plan-budget-s=0.05"),
-        ("drill-0 --push-model mujoco", "drill-0 --planner.push-model mujoco"),
-        ("mug-0 --motion corrected", "mug-0 --filter.motion corrected"),
-        ("mug-0 --sensor both", "mug-0 --simulator.sensors.kind both"),
-        ("touch-box --budget 0.1", "touch-box --plan-budget-s 0.1"),
-        ("peg --t-max 10 --evaluation real", "peg --action-budget-s 10 --evaluation-s None"),
-        ("fused --budget 30 --thinking real", "handle --run-budget-s 30 --thinking-s None"),
-        ("fused --sensors camera", "handle --sensors camera"),
-    ],
-)
-def test_former_names_are_told_and_taken(former, now, capsys):
-    assert settings_of(*now.split()) == settings_of(*former.split())
-    assert "now" in capsys.readouterr().err
-
-
-def test_what_no_flag_stands_for_any_more_is_refused_with_what_to_write(capsys):
-    assert main(["run", "peg", "--set", "point_m=0.001"]) == exit_codes.BAD_INPUT
-    assert "--point-m 0.001 for --set point_m=0.001" in capsys.readouterr().err
+def test_a_former_name_of_a_task_is_told_and_taken(capsys):
+    assert settings_of("fused", "--sensors", "camera") == settings_of("handle", "--sensors", "camera")
+    assert "the task fused is now handle" in capsys.readouterr().err
 
 
 def test_labels_are_folders():
