@@ -13,7 +13,6 @@ from rumi import loop
 from rumi.cache import cache_folder
 from rumi.commands.explain import Decisions, explain
 from rumi.commands.flags import FLAGS
-from rumi.commands.glossary import FIGURE, GLOSSARY
 from rumi.commands.kernels_ahead import kernels_ahead
 from rumi.commands.pushes import learnt, level_rummager
 from rumi.commands.recordings import keep
@@ -40,6 +39,21 @@ usage: rumi run TASK [options]
 
 Carry out a task in simulation. `rumi run TASK --help` lists all its settings with their defaults. The tasks:
 
+"""
+
+# what the words and numbers of a rummaging run mean, for those who see them first
+_GLOSSARY = """\
+nll      how badly the belief explains where the object truly is; 0 is perfect, needs the truth
+expects  the nll that the belief expects of itself, without the truth: small where its poses agree
+apc      mean distance between the object's surfaces at the poses still believed
+ess      how many of the poses still count (effective sample size)
+agree    seconds to compare the belief with itself, for expects and apc; score: with the truth
+r        in figures: how well the arm reaches there, 1 fully; dotted lines are where r is so much
+"""
+
+_FIGURE = """\
+look at  {folder}/overview.png: outlines are poses still believed, from the first view to the end;
+         orange is where a touch would tell most; at the end the outlines should be one
 """
 
 
@@ -102,8 +116,8 @@ def run(arguments: Sequence[str]) -> int:
     first, *lines = entry.summary(settings, result)
     sys.stdout.write("\n  ".join([f"{name}: {first}", *lines, f"folder   {folder}"]) + "\n")
     if (options.glossary or sys.stdout.isatty()) and not entry.records:  # of those that rummage
-        drawn = FIGURE.format(folder=folder / "figures") if options.figures and not interrupted else ""
-        sys.stdout.write("".join(f"  {line}\n" for line in (drawn + GLOSSARY).splitlines()))
+        drawn = _FIGURE.format(folder=folder / "figures") if options.figures and not interrupted else ""
+        sys.stdout.write("".join(f"  {line}\n" for line in (drawn + _GLOSSARY).splitlines()))
     if options.explain:
         sys.stdout.write(explain(account))
     if interrupted:
