@@ -18,8 +18,8 @@ from rumi.exit_codes import DONE
 from sdf import se3
 
 if TYPE_CHECKING:
-    from rumi.runs.replay import Recorded
     from rumi.tasks.rummage.agent import Rummager
+    from sensors.log.reader import Taken
     from sensors.observation import Observation
 
 _SUFFIXES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
@@ -107,7 +107,7 @@ def _picture(path: Path) -> Path:
     return path
 
 
-def at_the_end(taken: "Recorded") -> "Observation":
+def at_the_end(taken: "Taken") -> "Observation":
     """The points of a reading, carried with the object to where it was at the reading's end, where that is known."""
     reading = taken.reading
     if reading.object_motion is None or len(reading.observation) == 0:
@@ -119,7 +119,7 @@ def at_the_end(taken: "Recorded") -> "Observation":
     return replace(reading.observation, points=torch.where(attached, moved, reading.observation.points))
 
 
-def _likeliest(taken: "Sequence[Recorded]", rummager: "Rummager", seed: int) -> Float[Tensor, "4 4"]:
+def _likeliest(taken: "Sequence[Taken]", rummager: "Rummager", seed: int) -> Float[Tensor, "4 4"]:
     from rumi.runs.replay import replay
 
     # all of the readings, sure or not

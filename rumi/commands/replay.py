@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from rumi.agent import Agent
     from rumi.rosbag.mapping import BagMap
     from rumi.runs.recorded import RunLog
-    from rumi.runs.replay import Recorded
     from rumi.tasks.rummage.agent import Rummager
     from rumi.tasks.rummage.settings import Settings
     from sensors.log.reader import Log, Taken
@@ -246,7 +245,7 @@ def _replay(
         if mapping is not None:
             from rumi.rosbag.in_plane import in_plane
 
-            taken = in_plane(cast("list[Taken]", taken), cast("Rummager", agent))
+            taken = in_plane(taken, cast("Rummager", agent))
     else:
         agent = entry.agent(settings, cache_dir=cache_dir)
     _check_object(log, agent)
@@ -305,7 +304,7 @@ def made_readings(log: "Log | RunLog", mapping: "BagMap", settings: "Settings") 
 
 
 def agent_of_imported(
-    mapping: "BagMap", settings: "Settings", taken: "Sequence[Recorded]", cache_dir: Path | None
+    mapping: "BagMap", settings: "Settings", taken: "Sequence[Taken]", cache_dir: Path | None
 ) -> "Agent[Any]":
     """What follows an imported recording.
 
@@ -325,7 +324,7 @@ def _name(log: "Log | RunLog") -> str:
     return FORMER_NAMES.get(name, name)
 
 
-def _in_dtype(settings: Any, taken: "Sequence[Recorded]") -> Any:  # noqa: ANN401  (what `replay` takes)
+def _in_dtype(settings: Any, taken: "Sequence[Taken]") -> Any:  # noqa: ANN401  (what `replay` takes)
     """What brings readings to the settings' dtype."""
     from rumi.task import TaskOnDevice
 

@@ -12,10 +12,11 @@ from torch.utils.data import Dataset
 from rumi.errors import UsageError
 from rumi.runs.logbook import LOG
 from rumi.runs.recorded import RunLog
-from rumi.runs.replay import Recorded
 from sdf.containers import Ragged, collate, container, index, pad, stack
 from sdf.extras import optional
 from sensors.contact_reading import ContactReading
+from sensors.log.errors import LogError
+from sensors.log.reader import Log, Taken
 from sensors.reading import Reading
 
 
@@ -37,7 +38,7 @@ class Episode:
     valid: Bool[Tensor, "*b T"]
 
     @classmethod
-    def of(cls, steps: Sequence[Recorded]) -> "Episode":
+    def of(cls, steps: Sequence[Taken]) -> "Episode":
         """Of the steps of a recording, the first reading first.
 
         Raises:
@@ -104,9 +105,6 @@ class RecordedRuns(Dataset[Episode]):
         if path.is_dir() and (path / "trace.npz").is_file():
             return Episode.of(RunLog(path).taken())
         optional("h5py", "A log")
-        from sensors.log.errors import LogError
-        from sensors.log.reader import Log
-
         try:
             with Log(path / LOG if path.is_dir() else path) as log:
                 return Episode.of(log.taken())

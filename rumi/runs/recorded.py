@@ -1,31 +1,12 @@
 """A run's folder read as a log is: what its trace holds, in a robot's place."""
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from torch import Tensor
-
 from rumi.runs.folder import load_run
 from rumi.runs.replay import digest
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedStep:
-    """A step of a run, as `rumi.runs.replay.Recorded` has it.
-
-    Attributes:
-        reading: what was sensed.
-        control: the action that led there; None for the first reading.
-        truth: pose of the object then, where it is known.
-        digest: of the belief after it.
-    """
-
-    reading: Any
-    control: Any
-    truth: Tensor | None
-    digest: bytes | None
+from sensors.log.reader import Taken
 
 
 class RunLog:
@@ -53,9 +34,9 @@ class RunLog:
         self.problems = [] if self._run.ended else ["the run was not finished: what had been written is there"]
         self.streams: dict[str, Any] = {}
 
-    def taken(self) -> list[RecordedStep]:
+    def taken(self) -> list[Taken]:
         """The steps, in order, their readings of the kind that they were recorded as."""
-        return [RecordedStep(step.reading, step.control, step.truth, digest(step.belief)) for step in self._run.steps]
+        return [Taken(step.reading, step.control, step.truth, digest(step.belief)) for step in self._run.steps]
 
     def __enter__(self) -> Self:
         return self

@@ -4,7 +4,7 @@ import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,33 +14,9 @@ from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
 from rumi.loop import run
 from rumi.task import StepResult, Task
+from sensors.log.reader import Taken
 
 _POSES = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy")
-
-
-@runtime_checkable
-class Recorded(Protocol):
-    """A step of a recording, such as `sensors.log.reader.Taken`."""
-
-    @property
-    def reading(self) -> Any:  # noqa: ANN401  (the task's own)
-        """What was sensed."""
-        ...
-
-    @property
-    def control(self) -> Any:  # noqa: ANN401  (the task's own)
-        """The action that led there; None for the first reading."""
-        ...
-
-    @property
-    def truth(self) -> Tensor | None:
-        """Pose of the object then, where it is known."""
-        ...
-
-    @property
-    def digest(self) -> bytes | None:
-        """Of the belief after it, where it was kept."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -80,7 +56,7 @@ class LogTask:
         UsageError: nothing is there.
     """
 
-    def __init__(self, recorded: Sequence[Recorded]) -> None:
+    def __init__(self, recorded: Sequence[Taken]) -> None:
         if not recorded:
             raise UsageError("Expected a log with a first reading at least, got none: there is nothing to replay")
         self._recorded = recorded
@@ -139,7 +115,7 @@ class Repeat:
 
 
 def replay(
-    recorded: Sequence[Recorded],
+    recorded: Sequence[Taken],
     agent: Agent[Any],
     *,
     seed: int,

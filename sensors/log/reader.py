@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from sdf.extras import optional
@@ -27,20 +26,20 @@ if TYPE_CHECKING:
 __all__ = ["Log", "Sample", "Stream", "Taken"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Taken:
     """Recorded step of a run: its reading and the action that led to it.
 
     Attributes:
-        reading: as the belief got it.
-        control: (A,), the action that led here; None for the first view.
+        reading: as the belief got it, of the task's own kind.
+        control: the action that led here, (A,) where it is numbers; None for the first view.
         truth: (4, 4), true world_T_object, None where unknown.
         digest: SHA-256 of the belief after it, None where none was kept.
     """
 
-    reading: Reading
-    control: Float[Tensor, "A"] | None
-    truth: Float[Tensor, "4 4"] | None
+    reading: Any
+    control: Any
+    truth: Tensor | None
     digest: bytes | None
 
 

@@ -24,6 +24,7 @@ from sdf.primitives import Box
 from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceSet, SemanticPoints
+from sensors.log.reader import Taken
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -76,16 +77,9 @@ def contact_points(size: int) -> ContactPointEvidence:
     return ContactPointEvidence(GRID, draws(4, 3), draws(4, 3, seed=1), draws(4).abs(), draws(4).abs(), 0.1)
 
 
-class Taken(NamedTuple):
-    reading: Any
-    control: Any
-    truth: Any
-    digest: Any = None
-
-
 def episode(size: int) -> Episode:
-    first = Taken(reading(1), None, torch.eye(4))
-    return Episode.of([first, *(Taken(reading(k + 1), draws(3), torch.eye(4)) for k in range(size))])
+    first = Taken(reading(1), None, torch.eye(4), None)
+    return Episode.of([first, *(Taken(reading(k + 1), draws(3), torch.eye(4), None) for k in range(size))])
 
 
 class Member(NamedTuple):
