@@ -12,10 +12,9 @@ import numpy as np
 from rumi.errors import UsageError
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap, Topic
-from rumi.rosbag.mcap import Message
+from rumi.rosbag.mcap import BagError, Message
 from rumi.rosbag.messages import CONVERTERS, RowOf
-from rumi.rosbag.recording_source import source_of
-from rumi.rosbag.source import BagError
+from rumi.rosbag.source import source_of
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter

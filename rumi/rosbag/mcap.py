@@ -18,6 +18,10 @@ _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _LAST = 0x01, 0x02, 0x03,
 _LONGEST = 1 << 40  # of a record; more is damage
 
 
+class BagError(Exception):
+    """The bag cannot be read, or not further."""
+
+
 class Message(NamedTuple):
     """A message of a recording.
 

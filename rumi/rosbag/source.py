@@ -1,19 +1,16 @@
-"""Messages of a bag, of ROS 1 or 2, as it lies on disk."""
+"""Messages of a recording as it lies on disk: of a bag, of ROS 1 or 2, or of text."""
 
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from rumi.errors import UsageError
-from rumi.rosbag.mcap import Message, Walk
+from rumi.rosbag.mcap import BagError, Message, Walk
+from rumi.rosbag.text_source import TextSource, text_files
 from sdf.extras import optional
 
 _PACKED = ".zstd"
 _NAMES = (".mcap", ".db3", f".mcap{_PACKED}", f".db3{_PACKED}")
-
-
-class BagError(Exception):
-    """The bag cannot be read, or not further."""
 
 
 class BagSource:
@@ -103,3 +100,19 @@ def _files(bag: Path) -> list[Path]:
     if not found:
         raise UsageError(f"Expected a bag in the folder {bag}, found no .mcap and no .db3 file there")
     return found
+
+
+Source = BagSource | TextSource
+
+
+def source_of(path: Path) -> Source:
+    """The messages of a bag, or of CSV or JSON lines.
+
+    Args:
+        path: a .bag, .mcap or .db3 file or the folder of a bag; a .csv or .jsonl file, or a folder of such.
+
+    Raises:
+        UsageError: there is nothing of these.
+        ModuleNotFoundError: a bag, and rosbags is not installed.
+    """
+    return TextSource(path) if text_files(path) else BagSource(path)

@@ -15,9 +15,9 @@ from torch import Tensor
 from rumi.errors import UsageError
 from rumi.rosbag.mapping import Topic
 from rumi.rosbag.mapping_file import SCHEMA
+from rumi.rosbag.mcap import BagError
 from rumi.rosbag.messages import CONVERTERS, POSES
-from rumi.rosbag.recording_source import Source, source_of
-from rumi.rosbag.source import BagError
+from rumi.rosbag.source import Source, source_of
 from rumi.rosbag.suggest_forces import forces_of, lines_of
 from rumi.rosbag.suggest_geometry import Geometry, rod_of, tracked_frame
 from rumi.rosbag.suggest_rod import ROD_END, is_upright, lines_of_end, lines_of_rod

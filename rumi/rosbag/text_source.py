@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rumi.rosbag.mcap import Message
-from rumi.rosbag.source import BagError
+from rumi.rosbag.mcap import BagError, Message
 
 SUFFIXES = (".csv", ".jsonl")
 STAMP = "stamp_s"
