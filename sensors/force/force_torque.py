@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sdf import backend, compiled
+from sdf import backend, compiled, so3
 from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_finite, check_shape
 from sensors.force.tool_surface import ToolSurface
@@ -203,17 +203,10 @@ def _line_motion(force: Tensor, direction: Tensor, size: Tensor, twist: Tensor, 
 
     Its part along the force is of no use: the line slides along itself.
     """
-    force_hat, point_hat, hat = _hat(force), _hat(point), _hat(direction)
+    force_hat, point_hat, hat = so3.hat(force), so3.hat(point), so3.hat(direction)
     square = size.square()[..., None, None]
     by_force = (-force_hat @ point_hat - twist[..., None, None] * hat) / square
     return torch.cat((by_force, force_hat / square), -1)
-
-
-def _hat(v: Tensor) -> Tensor:
-    """Cross product matrix (*b, 3, 3)."""
-    x, y, z = v.unbind(-1)
-    zero = torch.zeros_like(x)
-    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).reshape(*v.shape[:-1], 3, 3)
 
 
 def _across(vector: Tensor, direction: Tensor) -> Tensor:
