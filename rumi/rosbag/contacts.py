@@ -17,7 +17,7 @@ from rumi.rosbag.streams import role_of
 from rumi.rosbag.torques import torque_contacts
 from sdf import se3
 from sensors.contact_reading import WrenchTouch
-from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
+from sensors.force.force_torque import WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
 from sensors.force.tool_load import ToolLoad
 from sensors.log.reader import Log, Sample, Stream
 from sensors.reading import FORCE
@@ -111,10 +111,14 @@ def _wrench_contacts(
     samples = [one for one, there in zip(samples, known.tolist(), strict=True) if there]
     pose = pose[known]
     wrench = torch.stack([wrench_of(one) for one in samples]) if samples else torch.zeros(0, 6, dtype=torch.float64)
+    wrench = -wrench if config.reaction else wrench
     load = _load(stream, mapping, frames, wrench, pose, samples, span.start_ns, problems)
     wrench = smoothed(wrench, torch.tensor([one.stamp_ns for one in samples]), config.smooth_s)
-    contact = read_wrenches(wrench, pose, load, mapping)
-    forces = force_on_tool(wrench, pose, load, mapping).float()
+    left = load.contact_wrench(wrench, pose[:, :3, :3])
+    noise = WrenchNoise(config.force_n, config.moment_nm).covariance()
+    settings = WrenchSettings(least_force_n=config.least_force_n, friction=config.friction)
+    contact = wrench_contact(left, config.tool(), noise, settings)
+    forces = (pose[:, :3, :3].double() @ left[:, :3, None].double())[..., 0].float()  # on the tool, world axes
     for name in WrenchStatus:
         counted[name.name.lower()] = counted.get(name.name.lower(), 0) + int((contact.status == int(name)).sum())
     if config.level:
@@ -178,29 +182,6 @@ def smoothed(wrench: Float[Tensor, "K 6"], stamps_ns: Int[Tensor, "K"], seconds:
     return (total[behind] - total[first]) / (behind - first)[:, None]
 
 
-def read_wrenches(
-    wrench: Float[Tensor, "K 6"], world_T_sensor: Float[Tensor, "K 4 4"], load: ToolLoad, mapping: BagMap
-) -> WrenchContact:
-    """Contact of the mapping's tool by each wrench as recorded (K, 6), N and N m."""
-    config = mapping.wrench
-    assert config is not None
-    signed = -wrench if config.reaction else wrench
-    left = load.contact_wrench(signed, world_T_sensor[:, :3, :3])
-    noise = WrenchNoise(config.force_n, config.moment_nm)
-    settings = WrenchSettings(least_force_n=config.least_force_n, friction=config.friction)
-    return wrench_contact(left, config.tool(), noise.covariance(), settings)
-
-
-def force_on_tool(
-    wrench: Float[Tensor, "K 6"], world_T_sensor: Float[Tensor, "K 4 4"], load: ToolLoad, mapping: BagMap
-) -> Float[Tensor, "K 3"]:
-    """Force of what the mapping's tool touches on it by each wrench as recorded, N, world axes."""
-    config = mapping.wrench
-    assert config is not None
-    left = load.contact_wrench(-wrench if config.reaction else wrench, world_T_sensor[:, :3, :3])
-    return (world_T_sensor[:, :3, :3].double() @ left[:, :3, None].double())[..., 0]
-
-
 def _load(
     stream: Stream,
     mapping: BagMap,
@@ -218,9 +199,8 @@ def _load(
         torch.tensor(value, dtype=torch.float64) for value in (config.bias, config.mass_kg, config.mass_center_m)
     ]
     load = ToolLoad(*numbers)
-    signed = -wrench if config.reaction else wrench
     high = _high(samples, mapping, frames)
-    free = signed[high] - load.weight(pose[high, :3, :3].to(signed))
+    free = wrench[high] - load.weight(pose[high, :3, :3].to(wrench))
     lifted = free.median(0).values if len(free) else None  # a tool that starts or brakes feels more than its weight
     if config.tare_s <= 0 or not samples:
         return load if lifted is None else replace(load, bias=lifted)
@@ -232,7 +212,7 @@ def _load(
         )
         start = samples[0].stamp_ns
     early = torch.tensor([one.stamp_ns <= start + config.tare_s * 1e9 for one in samples], dtype=torch.bool)
-    first = load.tared(signed[early], pose[early, :3, :3])
+    first = load.tared(wrench[early], pose[early, :3, :3])
     return first if lifted is None else replace(load, bias=0.5 * (first.bias + lifted))
 
 
