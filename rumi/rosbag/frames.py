@@ -57,6 +57,7 @@ class FrameTree:
         longest_gap_s: over which poses are interpolated.
 
     Attributes:
+        gap_ns: the longest gap, in nanoseconds.
         problems: what could not be used of a log.
     """
 
@@ -68,7 +69,7 @@ class FrameTree:
         longest_gap_s: float = 0.5,
     ) -> None:
         self._edges, self.world = edges, world
-        self._gap_ns = int(longest_gap_s * 1e9)
+        self.gap_ns = int(longest_gap_s * 1e9)
         self.problems: list[str] = []
         self._rise = se3.identity(dtype=torch.float64)
         self._rise[:3, 3] = -torch.tensor(origin_w, dtype=torch.float64)
@@ -111,11 +112,6 @@ class FrameTree:
         tree = cls(edges, frames.world, (*frames.origin_m, frames.floor_z_m), frames.longest_gap_s)
         tree.problems = problems
         return tree
-
-    @property
-    def gap_ns(self) -> int:
-        """Over which poses are interpolated."""
-        return self._gap_ns
 
     def stamps(self, frame: str) -> list[Int[Tensor, "n"]]:
         """Stamps of each moving part of what connects a frame to the world, rising."""
@@ -171,6 +167,6 @@ class FrameTree:
         known = torch.ones(len(stamps), dtype=torch.bool)
         for frame in chain:
             if frame in self._edges:
-                own, there = self._edges[frame].at(stamps, self._gap_ns)
+                own, there = self._edges[frame].at(stamps, self.gap_ns)
                 pose, known = own @ pose, known & there
         return pose, known

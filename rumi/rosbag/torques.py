@@ -148,6 +148,9 @@ class BodyTrack:
 
     Raises:
         UsageError: no URDF, or no joints in the recording.
+
+    Attributes:
+        body: the links' shapes.
     """
 
     def __init__(self, robot: RobotMap, log: Log, mapping: BagMap, frames: FrameTree) -> None:
@@ -158,6 +161,7 @@ class BodyTrack:
             raise UsageError(f"Expected robot.file to be a URDF for robot.remove, got {robot.file}")
         folders = {Path(folder).resolve().name: Path(folder) for folder in robot.packages}
         self._urdf = UrdfBody.load(robot.file, packages=folders)
+        self.body: RobotBody = self._urdf.body
         self._tracks = [
             JointTrack(stream)
             for stream in log.streams.values()
@@ -167,11 +171,6 @@ class BodyTrack:
             raise UsageError("Expected a topic with the role joints or torques for robot.remove, found none")
         self._frames, self._base = frames, robot.base or mapping.frames.world
         self._gap_ns = int(mapping.frames.longest_gap_s * 1e9)
-
-    @property
-    def body(self) -> RobotBody:
-        """The links' shapes."""
-        return self._urdf.body
 
     def at(self, stamp_ns: int) -> Float[Tensor, "L 4 4"]:
         """world_T_links at a time.
