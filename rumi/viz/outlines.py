@@ -15,10 +15,15 @@ from sdf import se3
 @lru_cache(maxsize=32)
 def contours(outline: OutlineMap) -> list[np.ndarray]:
     """Closed lines (M, 2) of an outline, in its own frame."""
-    from contourpy import contour_generator
-
     values = outline.values.cpu().double().numpy()
     x, y = (float(outline.origin[axis]) + outline.spacing * np.arange(values.shape[axis]) for axis in (0, 1))
+    return zero_lines(x, y, values)
+
+
+def zero_lines(x: np.ndarray, y: np.ndarray, values: np.ndarray) -> list[np.ndarray]:
+    """Lines (M, 2) along which values (X, Y) on a grid are zero."""
+    from contourpy import contour_generator
+
     lines: list[np.ndarray] = contour_generator(x, y, values.T).lines(0.0)
     return lines
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -13,6 +12,7 @@ from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.dynamics.sliding import rotated
 from rumi.viz import style
+from rumi.viz.outlines import zero_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,16 +87,8 @@ def scale_bar(ax: "Axes", length_m: float) -> None:
 
 
 def _outline(ax: "Axes", body: PushedBody, pose: Float[Tensor, "3"], **line: object) -> None:
-    for corners in _contours(body):
+    axis = torch.linspace(-body.outline.radius, body.outline.radius, 161, dtype=torch.float64)
+    values = body.outline(torch.stack(torch.meshgrid(axis, axis, indexing="ij"), -1)).distance
+    for corners in zero_lines(axis.numpy(), axis.numpy(), values.numpy()):
         placed = rotated(torch.as_tensor(corners).to(pose), pose[2]) + pose[:2]
         ax.plot(*placed.T.tolist(), **line)
-
-
-def _contours(body: PushedBody) -> list[np.ndarray]:
-    from contourpy import contour_generator
-
-    axis = torch.linspace(-body.outline.radius, body.outline.radius, 161, dtype=torch.float64)
-    points = torch.stack(torch.meshgrid(axis, axis, indexing="ij"), -1)
-    values = body.outline(points).distance.numpy()
-    lines: list[np.ndarray] = contour_generator(axis.numpy(), axis.numpy(), values.T).lines(0.0)
-    return lines
