@@ -23,16 +23,6 @@ def stop_reason(recorded: str) -> str:
 
 
 @runtime_checkable
-class Record(Protocol):
-    """What a step leaves behind."""
-
-    @property
-    def step(self) -> int:
-        """Number of actions carried out so far; 0 is the first reading."""
-        ...
-
-
-@runtime_checkable
 class State(Protocol):
     """All that an agent knows after a reading, as a value: an update gives another one and leaves this as it is.
 
@@ -40,8 +30,8 @@ class State(Protocol):
     """
 
     @property
-    def record(self) -> Any:  # noqa: ANN401  (a `Record`, of the task's own kind)
-        """Of the last step."""
+    def record(self) -> Any:  # noqa: ANN401  (of the task's own kind)
+        """Of the last step; its `step` is the number of actions carried out so far, 0 at the first reading."""
         ...
 
 
