@@ -30,11 +30,6 @@ class ToolLoad:
     mass_kg: Float[Tensor, ""]
     center_s: Float[Tensor, "3"]
 
-    @classmethod
-    def none(cls, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Self:
-        """No bias and no weight, as of readings that are compensated already."""
-        return cls(*(torch.zeros(size, dtype=dtype, device=device) for size in ((6,), (), (3,))))
-
     def weight(
         self, world_R_sensor: Float[Tensor, "*b 3 3"], acceleration_w: Float[Tensor, "*b 3"] | None = None
     ) -> Float[Tensor, "*b 6"]:
