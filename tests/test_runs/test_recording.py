@@ -175,28 +175,6 @@ def test_a_run_is_never_overwritten(tmp_path, run):
     assert not holds_run(tmp_path)
 
 
-@pytest.mark.parametrize("broken", ["steps.jsonl", "scene"])
-def test_a_recorder_that_cannot_begin_lets_go_of_its_files(broken, tmp_path, run, monkeypatch):
-    held, open_it = {}, Path.open
-
-    def refuse(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    def opened(path, *arguments, **options):
-        if path.name == broken:
-            refuse()
-        held[path.name] = open_it(path, *arguments, **options)
-        return held[path.name]
-
-    monkeypatch.setattr(Path, "open", opened)
-    if broken == "scene":
-        monkeypatch.setattr(folder_module, "write_geometry", refuse)
-    with pytest.raises(UsageError, match="No space left"):
-        RunRecorder(tmp_path / "run", SETTINGS, run.geometry)
-    assert "trace.npz" in held and all(file.closed for file in held.values())
-    assert not (tmp_path / "run").exists()
-
-
 def test_of_runs_at_once_one_has_the_folder(tmp_path, run, monkeypatch):
     """All have found it free when the first one takes it."""
     count = 6
