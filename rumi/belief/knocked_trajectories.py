@@ -81,7 +81,8 @@ def sought(
     """The belief and the memory where an object may have been knocked away before some actions that did not feel it.
 
     The belief that took silence for anything but a knock is forgotten: it has the object pushed to where no tool pushes
-    it, or is surer and surer of what little was left.
+    it, or is surer and surer of what little was left. The evidence of the readings before is kept: beliefs under other
+    faults, which go on, have theirs of all readings.
 
     Args:
         pose_filter: that the belief is of.
@@ -93,7 +94,7 @@ def sought(
     """
     last, count = before.trajectories, max(pose_filter.own.particles, pose_filter.own.first_particles)
     assert last is not None
-    drawn = _knocked(before, History.empty(), own, count, generator)
+    drawn = replace(_knocked(before, History.empty(), own, count, generator), log_evidence=last.log_evidence)
     even = normalise(drawn.pose.new_zeros(count))
     belief: PoseBelief = pose_filter.belief_of(drawn, even, before.world_T_attached, before.log_weights)
     memory = memory[(~memory.attached).nonzero()[:, 0]]

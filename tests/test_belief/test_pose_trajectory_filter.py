@@ -224,6 +224,11 @@ def test_an_object_that_is_felt_no_more_is_sought_about_where_it_was(model):
     away = found.world_T_object[:, :2, 3].norm(dim=-1)
     assert 0.015 < float(away.median()) < 0.1 and bool(found.log_weights.isfinite().all())
     assert not bool(kept.of_class(Semantics.SURFACE).any())  # what was seen before the knock
+    # evidence stays that of all readings: rivals keep theirs
+    likelier = replace(belief, trajectories=replace(belief.trajectories, log_evidence=7.5))
+    again, _ = sought(followed, likelier, unfelt, memory, MisfitSettings(), generator=generator(4))
+    more = again.trajectories.log_evidence - found.trajectories.log_evidence
+    assert more == pytest.approx(7.5 - belief.trajectories.log_evidence)
     met = felt_by(gone, PUSH + torch.tensor([0.034, 0.0, 0.0], **DOUBLE), model)  # up to its face
     assert bool(met.in_contact.any())
     found, _, _ = followed(found, kept, met, generator=generator(5))
