@@ -64,7 +64,7 @@ def log_likelihood_of(
     off = torch.where(kind == Kind.SEEN, seen, torch.where(kind == Kind.FREE, free, felt))
     near = (own.outliers + (1.0 - own.outliers) * (-0.5 * off.square()).exp()).log()
     within = torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
-    feels = own.outliers + (1.0 - 2.0 * own.outliers - own.dead) * within
+    feels = own.outliers + max(0.0, 1.0 - 2.0 * own.outliers - own.dead) * within  # all but dead: chance alone
     bit = torch.where(kind == Kind.PAD_FELT, feels, 1.0 - feels).log()
     return torch.where(kind >= Kind.PAD_FELT, bit, near)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 
 from annotated_types import Interval
 
-from sdf.bounds import Checked, Count, CountOr0, Law, NotNegative, Positive, Share
+from sdf.bounds import Checked, Count, CountOr0, Law, NotNegative, Positive, Share, ShareBelow1
 
 # wide enough for what is no mug: a bracket, a bottle, a ball, whose pushes nothing is fitted to
 _OTHERS: dict[str, Any] = {
@@ -156,7 +156,7 @@ class PoseTrajectorySettings(Checked):
     fewest_particles: Count = 1800
     sampling_error: Annotated[NotNegative, _NATS] = 0.0
     islands: Count = 3
-    exchanged: NotNegative = 0.0
+    exchanged: Share = 0.0
     evidence_power: Share = 0.2
     branches: Count = 6
     instants: Count = 5
@@ -185,7 +185,7 @@ class PoseTrajectorySettings(Checked):
     slip: NotNegative = 0.1
     soft: tuple[NotNegative, NotNegative] = (0.001, 1.0)
     grip: tuple[NotNegative, NotNegative] = (0.5, 1.5)
-    unfitted: NotNegative | None = None
+    unfitted: Positive | None = None
     tails: NotNegative = 0.5
     shared: Share = 0.5
     seen_sd_m: Positive = 0.0015
@@ -212,9 +212,9 @@ class PoseTrajectorySettings(Checked):
     moved_m: Positive = 0.003
     moved_rad: Positive = 0.04
     outliers: Annotated[float, Interval(gt=0.0, lt=0.5)] = 0.02
-    missed: NotNegative = 0.0
-    dead: NotNegative = 0.0
-    false: NotNegative = 0.0
+    missed: ShareBelow1 = 0.0
+    dead: ShareBelow1 = 0.0
+    false: ShareBelow1 = 0.0
     lone: bool = False
     tool_off_m: NotNegative = 0.0
     tool_off_rad: NotNegative = 0.0

@@ -50,6 +50,13 @@ def test_what_readings_are_worth_is_counted_by_segment_and_kind():
     assert torch.equal(now.history.worth(), worth)
 
 
+def test_pads_that_are_dead_all_but_a_few_tell_nothing_and_no_pad_has_a_negative_chance():
+    off = torch.tensor([-0.01, 0.0, 0.01], **DOUBLE)
+    for kind in (Kind.PAD_FELT, Kind.PAD_CLEAR):
+        told = log_likelihood_of(off, torch.tensor(int(kind)), PoseTrajectorySettings(dead=0.99))
+        assert bool(told.isfinite().all()) and float(told.max()) == float(told.min())
+
+
 @pytest.mark.parametrize("kind", list(Kind))
 def test_it_is_small_no_more_often_than_it_says(kind):
     random = torch.Generator().manual_seed(1)
