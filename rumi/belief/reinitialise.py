@@ -1,8 +1,10 @@
 """Reinitialisation: new particles by all evidence, at the first contact and to verify a sure belief."""
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import torch
+from annotated_types import Gt
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -15,6 +17,7 @@ from rumi.registration.register import RegisterSettings, pose_cells, register, s
 from rumi.seeding import Generators, normal
 from rumi.weights import boltzmann
 from sdf import se3
+from sdf.bounds import Checked, Count, ShareAbove0
 from sensors.evidence import Evidence, in_attached_frame
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -25,7 +28,7 @@ _STEPS = [(0.005 * 0.8**k, 0.1 * 0.8**k) for k in range(12)]
 
 
 @dataclass(frozen=True)
-class ReinitialiseSettings:
+class ReinitialiseSettings(Checked):
     """Settings of reinitialisation from the prior; without a prior there is none.
 
     A resampling can lose a mode that no observation refutes, and the optimiser does not find it again.
@@ -43,13 +46,13 @@ class ReinitialiseSettings:
 
     at_contact: bool = True
     challenge: bool = True
-    starts: int = 1500
+    starts: Count = 1500
     coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=5, margin_m=0.05))
-    polished: int = 400
+    polished: Count = 400
     fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=6, margin_m=0.02))
-    bin_rad: float = 0.26
-    bin_m: float = 0.02
-    plausible: float = 0.02
+    bin_rad: Annotated[float, Gt(0.0)] = 0.26
+    bin_m: Annotated[float, Gt(0.0)] = 0.02
+    plausible: ShareAbove0 = 0.02
 
     @classmethod
     def never(cls) -> "ReinitialiseSettings":

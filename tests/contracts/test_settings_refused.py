@@ -9,6 +9,7 @@ import pytest
 from kmppi import MPPISettings
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_filter import FilterSettings
+from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.belief.static_filter import ResampleMoveSettings
 from rumi.belief.trajectory_filter import TrajectorySettings
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -123,6 +124,7 @@ REFUSED = [
     Refused(DescentSettings, None, one("enough", 1.0)),
     Refused(LocalizeSettings, r"noise_m in \[1e-09, 1000\]", one("noise_m", 0.0, -1.0, NAN, INF, 1e-30, 1e4)),
     Refused(RegisterSettings, None, [{"kept": 0}, {"starts": 0}, {"polished": 0}, {"plausible": 0.0}]),
+    Refused(ReinitialiseSettings, None, [{"starts": -3}, {"polished": 0}, {"plausible": 0.0}, *one("bin_m", 0.0, NAN)]),
     Refused(SensorSettings, None, [{"kind": "ears"}, {"lost": 1.0}], UsageError),
     Refused(SensorSettings, None, [{"turned_about": "me"}, {"membrane_m": 0.0}], UsageError),
     Refused(PhysicsSettings, None, [{"mass_kg": 0.0}, {"friction": 0.0}], UsageError),
