@@ -48,7 +48,7 @@ class TrajectorySettings(Checked):
         noise_m_per_rad: metres of motion that a radian counts as.
         noise_rad_per_m: of yaw with it.
         newcomers: share of the particles that newcomers replace.
-        newcomer_mass: weight that they get in all, split by their likelihood.
+        newcomer_mass: weight that they get in all, split by their likelihood; all of it where they replace all.
         temper: power of the likelihood: 1 for readings that err independently, below it for those that err together.
         overlap_m: distance over which it is uncertain whether the tool, coming down, meets the object.
         overlap_error: chance that it is wrongly taken to have met it, or not to.
@@ -335,7 +335,7 @@ class TrajectoryFilter:
         contact = action.contact[..., -1].expand(runs)[:, None]
         fit = self.model.log_likelihood(distance, contact).log_softmax(-1)
         least = belief.log_weights.topk(many, dim=-1, largest=False).indices
-        mass = fresh.new_tensor(self.settings.newcomer_mass)
+        mass = fresh.new_tensor(self.settings.newcomer_mass if many < count else 1.0)
         kept = belief.log_weights.scatter(1, least, -torch.inf).log_softmax(-1) + (1.0 - mass).log()
         wide = least[..., None].expand(runs, many, 3)
         return replace(

@@ -182,6 +182,14 @@ def test_newcomers_come_near_the_robot_where_contact_was_felt(generator: torch.G
     assert float(after.log_weights[0][near[0]].max() - after.log_weights[0][near[0]].min()) > 1.0
 
 
+def test_newcomers_that_replace_all_particles_share_all_of_the_weight(generator: torch.Generator) -> None:
+    own = follow(TrajectorySettings(resampling="newcomers", newcomers=1.0, newcomer_mass=0.0))
+    belief = own.initial(1, 40, generator=generator)
+    action = TouchAction(torch.tensor([[-0.3, 0.5, 0.0]] * 3, **DOUBLE), torch.tensor([True, True]))
+    after, _ = own.resample(belief, [action], generator=generator)
+    assert float(after.log_weights.exp().sum()) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_where_the_tool_came_down_tells_of_the_object(noise: float) -> None:
     """Blocked, the box stands where the tool came down; not blocked, it does not; and replay keeps what that told."""
