@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import Search
 
 
@@ -31,8 +32,13 @@ def fill(
 
     Every bin with a plausible pose is served before any bin is served twice; where the plausible poses run out,
     the round starts again, so that an index may come more than once.
+
+    Raises:
+        DegenerateBeliefError: some discrepancies are NaN, so that none is the best.
     """
     plausible = (discrepancy <= discrepancy.min() + margin).nonzero()[:, 0]
+    if not len(plausible):
+        raise DegenerateBeliefError("Expected poses with discrepancies, got NaN: check the observation's points")
     order = plausible[torch.argsort(discrepancy[plausible], stable=True)]
     by_bin = order[torch.argsort(bins[order], stable=True)]
     _, sizes = torch.unique_consecutive(bins[by_bin], return_counts=True)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
+from rumi.errors import DegenerateBeliefError
 from rumi.registration.archive import fill, orientation_bins
 from rumi.registration.descent import DescentSettings, _surface_terms, descend, gauss_newton, retract, violable_pairs
 from sdf import backend, se3, so3
@@ -251,6 +252,11 @@ def test_fill_serves_every_plausible_bin_before_any_twice():
     assert fill(bins, cost, 2.0, 3).tolist() == [0, 4, 3]
     assert fill(bins, cost, 2.0, 6).tolist() == [0, 4, 3, 1, 5, 2]
     assert fill(bins, cost, 2.0, 8).tolist() == [0, 4, 3, 1, 5, 2, 0, 4]
+
+
+def test_poses_without_a_discrepancy_fill_no_belief():
+    with pytest.raises(DegenerateBeliefError, match="check the observation's points"):
+        fill(torch.tensor([0, 1]), torch.tensor([math.nan, math.nan]), 2.0, 3)
 
 
 def view(model, truth, hidden_half_angle):
