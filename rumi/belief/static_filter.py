@@ -99,7 +99,7 @@ class ResampleMoveInfo(NamedTuple):
 
 @dataclass(frozen=True)
 class TemperedEvidence:
-    """TemperedEvidence likelihood, all evidence with the new part of it to a power: an `Evidence`.
+    """Tempered likelihood, all evidence with the new part of it to a power: an `Evidence`.
 
     Attributes:
         every: all evidence, the new one included.

@@ -1,4 +1,4 @@
-"""The compiled CPU version of the push rollouts; `displacement.py` has the definition.
+"""The compiled CPU version of the push rollouts; `displacement_rollouts.py` has the definition.
 
 Rollouts of one control sequence that have met the same so far are carried on as one group, which splits where some of
 them touch and others do not: while nothing is touched, there is one group. One template for a tool that moves in a
