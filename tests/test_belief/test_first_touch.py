@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from rumi.belief import first_poses
-from rumi.belief.drawn_segments import drawn_view
 from rumi.belief.first_poses import drawn_again, of_view
 from rumi.belief.systematic_errors import as_seen
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.bench.drawn_segments import drawn_view
 from rumi.seeding import generator
 from rumi.weights import effective_sample_size
 

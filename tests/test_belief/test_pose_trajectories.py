@@ -6,7 +6,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.systematic_errors import NUMBERS
@@ -14,6 +13,7 @@ from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.bench.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.resampling import resample_systematic

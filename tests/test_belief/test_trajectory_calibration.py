@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from rumi.belief.bootstrap_filter import BootstrapFilter
-from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
@@ -18,6 +17,7 @@ from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.bench.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.metrics.calibration import rank_test
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator

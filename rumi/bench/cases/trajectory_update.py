@@ -6,7 +6,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
@@ -14,6 +13,7 @@ from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.bench.case import Case, Setup, case
+from rumi.bench.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.bench.scenes import HEIGHT_M, mug_scene
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import normal, split

@@ -6,13 +6,13 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
-from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.bench.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.robot.gripper import GripperShape
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box
