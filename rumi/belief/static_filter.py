@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.state_space import PlaneSpace
 from rumi.errors import DegenerateBeliefError
+from rumi.information.neighbours import StateMetric
 from rumi.resampling import resample_systematic
 from rumi.seeding import normal, uniform
 from rumi.weights import effective_sample_size, resampled_weights
@@ -62,7 +62,7 @@ class StaticBelief:
     """Weighted particles of a static state.
 
     Attributes:
-        states: (N, ...), of a space.
+        states: (N, ...).
         log_weights: (N), normalised.
         log_target: (N), log of prior and of the likelihood of all readings so far, up to a constant.
     """
@@ -124,12 +124,13 @@ class ResampleMoveFilter:
     """Particle filter of a static state, whose particles move by Metropolis's rule after a resampling.
 
     Attributes:
-        space: of the states.
+        metric: of the states, whose scales are those of a step; a step and its opposite lead there and back, so that
+            proposals made of them are symmetric.
         log_prior: log-density of states up to a constant; -inf where they cannot be.
         settings: of the filter.
     """
 
-    space: PlaneSpace
+    metric: StateMetric
     log_prior: Callable[[Tensor], Tensor]
     settings: ResampleMoveSettings = ResampleMoveSettings()
 
@@ -196,7 +197,7 @@ class ResampleMoveFilter:
         # one half stands still while the other moves by its differences: so each move is exact; one alone has no other
         for half in ((0, 1) if len(states) > 1 else (0,)) * self.settings.moves:
             own = slice(half, None, 2)
-            proposed = self.space.stepped(states[own], self._steps(len(states[own]), states[1 - half :: 2], generator))
+            proposed = states[own] + self._steps(len(states[own]), states[1 - half :: 2], generator)
             there = self.log_target(proposed, every)
             chance = uniform(there.shape, generator=generator, dtype=there.dtype, device=there.device)
             accept = chance.log() < there - target[own]
@@ -256,27 +257,27 @@ class ResampleMoveFilter:
                 return belief
             work.count(count, count)
             like = belief.states
-            shape = (len(like), self.space.dims)
+            shape = (len(like), self.metric.dims)
             draws = normal(shape, generator=generator, dtype=like.dtype, device=like.device)
-            states = self.space.stepped(belief.states, draws * draws.new_tensor(self.settings.noise))
+            states = belief.states + draws * draws.new_tensor(self.settings.noise)
             before, after = self.log_prior(belief.states), self.log_prior(states)
             change = after - torch.where(before > -math.inf, before, 0.0)
             return replace(belief, states=states, log_weights=belief.log_weights + change)
 
     def _steps(self, size: int, others: Float[Tensor, "M ..."], generator: torch.Generator) -> Float[Tensor, "N D"]:
         """Steps that are as likely as their opposites: jitter of any size, or differences of other particles."""
-        shape = (size, self.space.dims)
+        shape = (size, self.metric.dims)
         even = partial(uniform, generator=generator, dtype=others.dtype, device=others.device)
         noisy = partial(normal, generator=generator, dtype=others.dtype, device=others.device)
         low, high = (math.log(bound) for bound in self.settings.jitter_m)
         scale = torch.exp(low + (high - low) * even((size, 1)))
-        units = others.new_tensor(self.space.units)
+        units = others.new_tensor(self.metric.scales)
         steps = scale * units * noisy(shape)
         if len(others) < 2:
             return steps
         pair = torch.randint(len(others), (2, size), generator=generator, device=generator.device).to(others.device)
         share = 10.0 ** (1.2 * even((size, 1)) - 1.0)
-        across = share * self.space.difference(others[pair[0]], others[pair[1]])
+        across = share * self.metric.difference(others[pair[0]], others[pair[1]])
         # a hair's breadth more, so that copies of one particle part too
         across = across + self.settings.jitter_m[0] * units * noisy(shape)
         crossed = even((size, 1)) < self.settings.crossed

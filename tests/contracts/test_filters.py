@@ -13,12 +13,12 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PlanarPrior
-from rumi.belief.state_space import PlaneSpace
 from rumi.belief.static_filter import ResampleMoveFilter
 from rumi.belief.trajectory_belief import TouchAction
 from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline
+from rumi.information.neighbours import StateMetric
 from sdf import backend, se3
 from sdf.primitives import Box
 from sensors.discrepancy import Discrepancy
@@ -89,7 +89,7 @@ class Position:
 
 def resample_move_filter(start: Tensor, generator: torch.Generator) -> Iterator[Step]:
     width = start.new_tensor(SPREAD)
-    follow = ResampleMoveFilter(PlaneSpace(0.05), lambda states: -0.5 * (states / width).square().sum(-1))
+    follow = ResampleMoveFilter(StateMetric.planar(0.05), lambda states: -0.5 * (states / width).square().sum(-1))
     belief, readings = follow.start(start), start.new_tensor([[0.004, 0.001], [0.003, 0.0], [0.005, -0.001]])
     for k in range(3):
         new, every = Position(readings[k : k + 1]), Position(readings[: k + 1])
@@ -98,7 +98,7 @@ def resample_move_filter(start: Tensor, generator: torch.Generator) -> Iterator[
 
 
 def tempered_filter(start: Tensor, generator: torch.Generator) -> Iterator[Step]:
-    follow = ResampleMoveFilter(PlaneSpace(0.05), lambda states: torch.zeros_like(states[:, 0]))
+    follow = ResampleMoveFilter(StateMetric.planar(0.05), lambda states: torch.zeros_like(states[:, 0]))
     sharp = Position(start.new_tensor([[0.004, 0.001]] * 50))
     belief = follow.update_tempered(follow.start(start), sharp, sharp, generator=generator)
     yield Step(belief.states, belief.log_weights, torch.tensor(belief.ess), True)

@@ -9,13 +9,13 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 from rumi.belief.prior import PlanarPrior
-from rumi.belief.state_space import PlaneSpace
 from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings
 from rumi.belief.trajectory_belief import TouchAction
 from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline
 from rumi.information.contact_gain import add_noise
+from rumi.information.neighbours import StateMetric
 from sensors.touch.contact_model import ContactModel
 from sensors.touch.rectangle_touch import RectangleTouches
 from sensors.touch.touch_likelihood import TouchNoise
@@ -50,7 +50,7 @@ def fixed(noise: tuple[float, ...] | None) -> Callable[..., Tensor]:
         point, normal = torch.tensor([[0.1, 0.0], [1.0, 0.0]], **like)
         touches = RectangleTouches.none(half, TouchNoise(), 0.01).with_touch(point, normal)
         settings = ResampleMoveSettings(trigger=1.0, moves=2, noise=noise)
-        follow = ResampleMoveFilter(PlaneSpace(), prior.log_density, settings)
+        follow = ResampleMoveFilter(StateMetric.planar(0.1), prior.log_density, settings)
         belief = follow.start(prior.sample(40, generator=generator))
         return follow.update(belief, touches, touches, generator=generator)[0].states
 

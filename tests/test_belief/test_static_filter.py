@@ -7,19 +7,19 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.belief.state_space import PlaneSpace
 from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, TemperedEvidence
 from rumi.errors import DegenerateBeliefError
+from rumi.information.neighbours import StateMetric
 from sdf import skipped_work
 from sensors.touch.rectangle_touch import RectangleTouches
 from sensors.touch.touch_likelihood import TouchNoise
 
 F64 = torch.float64
-SPACES = {"place": PlaneSpace(None), "plane": PlaneSpace(0.1)}
+METRICS = {"place": StateMetric.euclidean(2), "plane": StateMetric.planar(0.1)}
 
 
-def drawn(space, count, generator, spread=0.3):
-    return spread * torch.randn(count, space.dims, generator=generator, dtype=F64)
+def drawn(metric, count, generator, spread=0.3):
+    return spread * torch.randn(count, metric.dims, generator=generator, dtype=F64)
 
 
 def flat(states):
@@ -37,29 +37,12 @@ class Gauss:
         return -0.5 * ((self.readings[:, None] - states[:, :2]) / self.noise).square().sum((0, 2))
 
 
-@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
-def test_a_step_and_a_difference_undo_each_other(space):
-    generator = torch.Generator().manual_seed(0)
-    states = drawn(space, 50, generator)
-    step = 0.5 * torch.randn(50, space.dims, generator=generator, dtype=F64)
-    there = space.stepped(states, step)
-    assert torch.allclose(space.difference(there, states), step, atol=1e-9)
-    assert torch.allclose(space.difference(states, there), -step, atol=1e-9)
-    assert torch.allclose(space.stepped(there, -step), states, atol=1e-9)
-    assert len(space.units) == space.dims
-
-
-def test_yaw_goes_the_shorter_way():
-    a, b = torch.tensor([[0.0, 0.0, 3.1], [0.0, 0.0, -3.1]], dtype=F64)
-    assert float(PlaneSpace().difference(a[None], b[None])[0, 2]) == pytest.approx(6.2 - 2 * math.pi)
-
-
 def test_it_is_the_posterior_of_a_gaussian():
     """Readings one by one, with particles resampled and moved on the way: mean and spread in closed form."""
     generator = torch.Generator().manual_seed(1)
     truth, noise, prior = torch.tensor([0.12, -0.07], dtype=F64), 0.01, 0.1
     readings = truth + noise * torch.randn(12, 2, generator=generator, dtype=F64)
-    follow = ResampleMoveFilter(PlaneSpace(None), lambda s: -0.5 * (s / prior).square().sum(-1))
+    follow = ResampleMoveFilter(StateMetric.euclidean(2), lambda s: -0.5 * (s / prior).square().sum(-1))
     belief = follow.start(prior * torch.randn(2000, 2, generator=generator, dtype=F64))
     resampled = 0
     for k in range(len(readings)):
@@ -80,24 +63,24 @@ def test_it_is_the_posterior_of_a_gaussian():
     assert torch.allclose(belief.log_target, follow.log_target(belief.states, Gauss(readings, noise)), atol=1e-6)
 
 
-@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
-def test_moves_leave_a_distribution_as_it_is(space):
-    """Particles of a Gaussian in the space stay so, in place and in every turn."""
+@pytest.mark.parametrize("metric", METRICS.values(), ids=METRICS)
+def test_moves_leave_a_distribution_as_it_is(metric):
+    """Particles of a Gaussian in the metric stay so, in place and in every turn."""
     generator = torch.Generator().manual_seed(2)
-    centre = drawn(space, 1, generator)
-    widths = torch.tensor([0.02, 0.05, 0.2][: space.dims], dtype=F64)
+    centre = drawn(metric, 1, generator)
+    widths = torch.tensor([0.02, 0.05, 0.2][: metric.dims], dtype=F64)
 
     def log_prior(states):
-        apart = space.difference(states, centre.expand_as(states))
+        apart = metric.difference(states, centre.expand_as(states))
         return -0.5 * (apart / widths).square().sum(-1)
 
     def spread(states):
-        return space.difference(states, centre.expand_as(states)).square().mean(0).sqrt()
+        return metric.difference(states, centre.expand_as(states)).square().mean(0).sqrt()
 
-    follow = ResampleMoveFilter(space, log_prior, ResampleMoveSettings(moves=30))
+    follow = ResampleMoveFilter(metric, log_prior, ResampleMoveSettings(moves=30))
     # too wide at first: moves must bring it in
-    steps = 2.0 * widths * torch.randn(1000, space.dims, generator=generator, dtype=F64)
-    belief = follow.start(space.stepped(centre.expand(1000, *centre.shape[1:]), steps))
+    steps = 2.0 * widths * torch.randn(1000, metric.dims, generator=generator, dtype=F64)
+    belief = follow.start(centre + steps)
     for _ in range(3):
         belief, _ = follow.move(belief, None, ess=0.0, generator=generator)
     assert torch.allclose(spread(belief.states), widths, rtol=0.15)
@@ -105,17 +88,17 @@ def test_moves_leave_a_distribution_as_it_is(space):
 
 def test_nothing_is_predicted_unless_asked_for():
     generator = torch.Generator().manual_seed(3)
-    states = drawn(PlaneSpace(), 30, generator)
+    states = drawn(StateMetric.planar(0.1), 30, generator)
     reading = Gauss(torch.zeros(1, 2, dtype=F64), 10.0)
     with skipped_work.account() as account:
-        still = ResampleMoveFilter(PlaneSpace(), flat)
+        still = ResampleMoveFilter(StateMetric.planar(0.1), flat)
         belief, info = still.update(still.start(states), reading, reading, generator=generator)
         assert torch.equal(belief.states, states) and not info.resampled
     assert account.skipped() == {"predictions": 1.0}
-    noisy = ResampleMoveFilter(PlaneSpace(), flat, ResampleMoveSettings(noise=(0.1, 0.1, 0.2)))
+    noisy = ResampleMoveFilter(StateMetric.planar(0.1), flat, ResampleMoveSettings(noise=(0.1, 0.1, 0.2)))
     with skipped_work.account() as account:
         belief, _ = noisy.update(noisy.start(states), reading, reading, generator=generator)
-    apart = PlaneSpace().difference(belief.states, states)
+    apart = StateMetric.planar(0.1).difference(belief.states, states)
     assert 0.05 < float(apart[:, 0].std()) < 0.2 and 0.1 < float(apart[:, 2].std()) < 0.4
     assert account.skipped() == {"predictions": 0.0}
 
@@ -131,7 +114,7 @@ def test_with_noise_the_prior_goes_on_to_count_once():
     def square(states):
         return torch.where((states.abs() <= 0.5).all(-1), 0.0, -math.inf).to(states)
 
-    follow = ResampleMoveFilter(PlaneSpace(None), square, ResampleMoveSettings(noise=(0.2, 0.2)))
+    follow = ResampleMoveFilter(StateMetric.euclidean(2), square, ResampleMoveSettings(noise=(0.2, 0.2)))
     belief = follow.start(torch.rand(500, 2, generator=generator, dtype=F64) - 0.5)
     for _ in range(5):
         belief, _ = follow.update(belief, Nothing(), Nothing(), generator=generator)
@@ -141,7 +124,7 @@ def test_with_noise_the_prior_goes_on_to_count_once():
         assert float(belief.log_weights.exp().sum()) == pytest.approx(1.0)
     centre, wide = 0.1, 0.3
     gauss = ResampleMoveFilter(
-        PlaneSpace(None),
+        StateMetric.euclidean(2),
         lambda s: -0.5 * ((s - centre) / wide).square().sum(-1),
         ResampleMoveSettings(noise=(0.1, 0.1)),
     )
@@ -168,7 +151,7 @@ def test_one_particle_moves_as_often_as_others():
         asked.append(len(states))
         return flat(states)
 
-    follow = ResampleMoveFilter(PlaneSpace(None), log_prior, ResampleMoveSettings(moves=6))
+    follow = ResampleMoveFilter(StateMetric.euclidean(2), log_prior, ResampleMoveSettings(moves=6))
     for count in (1, 2, 3):
         belief = follow.start(torch.zeros(count, 2, dtype=F64))
         asked.clear()
@@ -185,7 +168,7 @@ class Nowhere:
 
 
 def test_a_reading_that_nothing_explains():
-    follow = ResampleMoveFilter(PlaneSpace(), flat)
+    follow = ResampleMoveFilter(StateMetric.planar(0.1), flat)
     belief = follow.start(torch.zeros(5, 3, dtype=F64))
     for update in (follow.update, follow.update_tempered):
         with pytest.raises(DegenerateBeliefError, match="No particle explains"):
@@ -194,7 +177,7 @@ def test_a_reading_that_nothing_explains():
     assert torch.equal(follow.log_target(belief.states, empty), torch.zeros(5, dtype=F64))
 
 
-FOLLOW = ResampleMoveFilter(PlaneSpace(None), lambda states: torch.zeros(len(states), dtype=F64))
+FOLLOW = ResampleMoveFilter(StateMetric.euclidean(2), lambda states: torch.zeros(len(states), dtype=F64))
 
 
 @dataclass
@@ -216,7 +199,7 @@ def square(seed, follow=FOLLOW):
 def test_both_modes_live_on():
     noise = 1e-4
     told = TwoPlaces(noise)
-    follow = ResampleMoveFilter(PlaneSpace(None), FOLLOW.log_prior, ResampleMoveSettings(jitter_m=(3e-5, 0.05)))
+    follow = ResampleMoveFilter(StateMetric.euclidean(2), FOLLOW.log_prior, ResampleMoveSettings(jitter_m=(3e-5, 0.05)))
     lost = 0
     for seed in range(5):
         belief, generator = square(seed, follow)

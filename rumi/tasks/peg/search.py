@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.state_space import PlaneSpace
 from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, StaticBelief, TemperedEvidence
 from rumi.information.contact_gain import ContactKind
+from rumi.information.neighbours import StateMetric
 from rumi.resampling import resample_systematic
 from rumi.tasks.peg.cell import Felt
 from rumi.tasks.peg.settings import PegSettings
@@ -62,7 +62,7 @@ def table_prior(settings: PegSettings) -> ResampleMoveFilter:
         on = (places.abs() <= 0.5 * size).all(-1)
         return torch.where(on, 0.0, -torch.inf).to(places)
 
-    return ResampleMoveFilter(PlaneSpace(None), log_prior, ResampleMoveSettings(jitter_m=(1e-3, 0.1)))
+    return ResampleMoveFilter(StateMetric.euclidean(2), log_prior, ResampleMoveSettings(jitter_m=(1e-3, 0.1)))
 
 
 def start(settings: PegSettings, *, generator: torch.Generator) -> Found:

@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.belief.state_space import PlaneSpace
 from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, StaticBelief
 from rumi.clock import Now, SimulatedClock
 from rumi.information.contact_gain import ContactKind, rectangle_likelihood, touch_gain
@@ -42,12 +41,12 @@ def block_filter(settings: PegSettings) -> ResampleMoveFilter:
         on = (poses[..., :2].abs() <= 0.5 * size).all(-1)
         return torch.where(on, 0.0, -torch.inf).to(poses)
 
-    space = PlaneSpace(0.5 * settings.length_m)
+    metric = StateMetric.planar(0.5 * settings.length_m)
     if settings.power == 1.0:
-        return ResampleMoveFilter(space, log_prior)
+        return ResampleMoveFilter(metric, log_prior)
     lever = 0.5 * settings.length_m
     least = 0.3 * min(settings.point_m, lever * float(settings.noise.normal_rad))
-    return ResampleMoveFilter(space, log_prior, ResampleMoveSettings(jitter_m=(min(least, 3e-4), 0.05)))
+    return ResampleMoveFilter(metric, log_prior, ResampleMoveSettings(jitter_m=(min(least, 3e-4), 0.05)))
 
 
 def updated(
