@@ -1,22 +1,23 @@
-"""Stopping rules on the states of particles: by their covariance, their entropy, or the mass of target points."""
+"""Stopping rules on the states of particles: by their covariance, or by the mass of target points."""
 
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from annotated_types import Interval
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.information.entropy import Entropy
 from rumi.weights import check_weights
-from sdf.bounds import Checked, Count, CountOr0, Positive
+from sdf.bounds import Checked, Positive
 from sdf.check import check_shape
 from sdf.so3 import wrap
 
 _MOST_TARGETS = 4  # whose orders are all tried
+_TRIES, _REFINEMENTS = 200, 5
+"""Likeliest particles whose own targets are tried; steps from the best of them to the mean of the targets near it."""
 
 
 def covariance(
@@ -76,28 +77,11 @@ class CovarianceRule(Checked):
         return self.spread(states, log_weights) <= 1.0
 
 
-@dataclass(frozen=True)
-class EntropyRule:
-    """Sure where the entropy is low.
-
-    Attributes:
-        entropy: how it is estimated; that of the weights alone falls to nothing where one particle is left.
-        most_nats: that is allowed.
-    """
-
-    entropy: Entropy
-    most_nats: float
-
-    def holds(self, states: Float[Tensor, "N D"], log_weights: Float[Tensor, "N"]) -> bool:
-        """Whether the belief is sure."""
-        return float(self.entropy(states, log_weights)) <= self.most_nats
-
-
 class TargetEstimate(NamedTuple):
     """Estimate of target points, with the probability that it is within the tolerance.
 
     Attributes:
-        points: (K, D), metres; one point where any target will do.
+        points: (K, D), metres.
         probability: that the guess is within the tolerance.
     """
 
@@ -109,21 +93,15 @@ class TargetEstimate(NamedTuple):
 class MassRule(Checked):
     """Sure where target points of the object are known within a tolerance with high probability.
 
+    Targets are alike: they may be taken for one another, such as the two holes of a symmetric object.
+
     Attributes:
         tolerance_m: distance of a target from the guess.
         probability: that is asked for.
-        which: "all" targets have to be near their guesses, or "any" one of them near a single guess.
-        alike: targets may be taken for one another, such as the two holes of a symmetric object.
-        tries: likeliest particles whose own targets are tried as guesses.
-        refinements: steps from the best of them to the mean of the targets near it, as long as that is likelier.
     """
 
     tolerance_m: Positive
     probability: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.95
-    which: Literal["all", "any"] = "all"
-    alike: bool = True
-    tries: Count = 200
-    refinements: CountOr0 = 5
 
     def aim(self, targets: Float[Tensor, "N K D"], log_weights: Float[Tensor, "N"]) -> TargetEstimate:
         """The best guess.
@@ -138,25 +116,24 @@ class MassRule(Checked):
         count, kinds = targets.shape[:2]
         if count == 0 or kinds == 0:
             raise ValueError(f"Expected at least one particle and one target, got shape {tuple(targets.shape)}")
-        if self.which == "all" and self.alike and kinds > _MOST_TARGETS:
-            raise ValueError(f"Expected at most {_MOST_TARGETS} targets that are alike, got {kinds}: set alike=False")
+        if kinds > _MOST_TARGETS:
+            raise ValueError(f"Expected at most {_MOST_TARGETS} targets that are alike, got {kinds}")
         check_weights(log_weights)
         weights = log_weights.softmax(-1)
-        likeliest = torch.argsort(log_weights, descending=True, stable=True)[: self.tries]
-        orders = self._orders(targets)
+        likeliest = torch.argsort(log_weights, descending=True, stable=True)[:_TRIES]
+        # each of the ways in which a guess may be held against them: (P, N, K, D)
+        orders = torch.stack([targets[:, list(order)] for order in itertools.permutations(range(kinds))])
         guesses = targets[likeliest]
-        if self.which == "any":
-            guesses = guesses.reshape(-1, 1, targets.shape[-1])
-        mass = self._apart(guesses, orders).le(self.tolerance_m).amax(1).to(weights) @ weights
+        mass = _apart(guesses, orders).le(self.tolerance_m).amax(1).to(weights) @ weights
         first = int(mass.argmax())
         guess, best = guesses[first], float(mass[first])
-        for _ in range(self.refinements):
-            apart = self._apart(guess[None], orders)[0]
+        for _ in range(_REFINEMENTS):
+            apart = _apart(guess[None], orders)[0]
             nearest = apart.argmin(0)
             near = torch.where(apart.amin(0) <= self.tolerance_m, weights, 0.0)
             own = orders[nearest, torch.arange(count, device=nearest.device)]
             mean = (near[:, None, None] * own).sum(0) / near.sum()
-            found = float(self._apart(mean[None], orders)[0].le(self.tolerance_m).amax(0).to(weights) @ weights)
+            found = float(_apart(mean[None], orders)[0].le(self.tolerance_m).amax(0).to(weights) @ weights)
             if found <= best:
                 break
             guess, best = mean, found
@@ -166,15 +143,7 @@ class MassRule(Checked):
         """Whether the belief is sure."""
         return self.aim(targets, log_weights).probability >= self.probability
 
-    def _orders(self, targets: Float[Tensor, "N K D"]) -> Float[Tensor, "P N J D"]:
-        """The targets in each of the ways in which a guess may be held against them."""
-        kinds = targets.shape[1]
-        if self.which == "any":
-            return targets.transpose(0, 1)[:, :, None]
-        if not self.alike:
-            return targets[None]
-        return torch.stack([targets[:, list(order)] for order in itertools.permutations(range(kinds))])
 
-    def _apart(self, guesses: Float[Tensor, "G J D"], orders: Float[Tensor, "P N J D"]) -> Float[Tensor, "G P N"]:
-        """Greatest distance of a guess from its targets."""
-        return (guesses[:, None, None] - orders).norm(dim=-1).amax(-1)
+def _apart(guesses: Float[Tensor, "G K D"], orders: Float[Tensor, "P N K D"]) -> Float[Tensor, "G P N"]:
+    """Greatest distance of a guess from its targets."""
+    return (guesses[:, None, None] - orders).norm(dim=-1).amax(-1)

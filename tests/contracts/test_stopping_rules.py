@@ -6,16 +6,12 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from rumi.information.entropy import NeighbourEntropy
-from rumi.information.neighbours import StateMetric
-from rumi.information.state_rules import CovarianceRule, EntropyRule, MassRule
+from rumi.information.state_rules import CovarianceRule, MassRule
 
 Rule = Callable[[torch.Tensor, torch.Tensor], bool]
 RULES: dict[str, Rule] = {
     "covariance": CovarianceRule((0.01, 0.01)).holds,
-    "entropy": EntropyRule(NeighbourEntropy(StateMetric.euclidean(2)), math.log(1e-4)).holds,
     "mass": lambda states, log: MassRule(0.01).holds(states[:, None], log),
-    "mass, any": lambda states, log: MassRule(0.01, which="any").holds(states[:, None], log),
 }
 
 

@@ -15,7 +15,7 @@ from rumi.clock import Now, SimulatedClock
 from rumi.information.contact_gain import ContactKind, rectangle_likelihood, touch_gain
 from rumi.information.entropy import NeighbourEntropy
 from rumi.information.neighbours import StateMetric
-from rumi.information.state_rules import CovarianceRule, EntropyRule, MassRule, TargetEstimate
+from rumi.information.state_rules import CovarianceRule, MassRule, TargetEstimate
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
 from rumi.planning.duration_model import DurationModel
 from rumi.resampling import resample_systematic
@@ -304,8 +304,7 @@ def by_entropy(belief: StaticBelief, every: RectangleTouches, aim: TargetEstimat
     # the block looks the same half a turn on: of twice its yaw, of which there is twice as much
     states = belief.states * belief.states.new_tensor([1.0, 1.0, 2.0])
     metric = StateMetric.planar(0.25 * settings.length_m)
-    rule = EntropyRule(NeighbourEntropy(metric), settings.most_nats + math.log(2.0))
-    return rule.holds(states, belief.log_weights)
+    return float(NeighbourEntropy(metric)(states, belief.log_weights)) <= settings.most_nats + math.log(2.0)
 
 
 def aim_of(belief: StaticBelief, settings: PegSettings) -> TargetEstimate:
