@@ -1,35 +1,21 @@
 """Expected information gain of a motion by touch, exact over both outcomes of a binary reading (touch-only, Alg 1)."""
 
-import math
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.information.entropy import SharedSupport, weights_entropy
+from rumi.information.entropy import SharedSupport
+from rumi.weights import check_weights
 from sdf.batch import broadcast_shapes
 from sdf.check import check_shape, is_eager
 
 
-class BinaryOutcome(NamedTuple):
-    """Expected information of one binary reading.
+def binary_gain(log_weights: Float[Tensor, "*#b N"], probability: Float[Tensor, "*#b N"]) -> Float[Tensor, "*b"]:
+    """Entropy of the weights, nats, that one binary reading is expected to take away, in O(N) (Eqs 7-8).
 
-    Attributes:
-        contact: (*b), probability that the reading says contact.
-        entropy: (*b), of the weights before, nats.
-        expected: (*b), of the weights after, expected over both outcomes, nats.
-        gain: (*b), mutual information of reading and state, nats: the difference of the two.
-    """
-
-    contact: Float[Tensor, "*b"]
-    entropy: Float[Tensor, "*b"]
-    expected: Float[Tensor, "*b"]
-    gain: Float[Tensor, "*b"]
-
-
-def binary_outcome(log_weights: Float[Tensor, "*#b N"], probability: Float[Tensor, "*#b N"]) -> BinaryOutcome:
-    """Expected entropy of the weights after one binary reading, in O(N) (Eqs 7-8).
+    It is the mutual information of reading and state.
 
     The paper lets every particle in turn be the truth, which takes O(N^2) and one draw of the reading each; a binary
     reading leads to two posteriors only, and both are worked out. An outcome that cannot happen counts nothing.
@@ -37,15 +23,18 @@ def binary_outcome(log_weights: Float[Tensor, "*#b N"], probability: Float[Tenso
     Args:
         log_weights: of the states, normalised or not.
         probability: that the reading says contact, for each state.
+
+    Raises:
+        ValueError: see `rumi.weights.check_weights`.
     """
+    check_weights(log_weights)
     log = log_weights.log_softmax(-1)
     weights = log.exp()
     # the gain is the mean divergence of a state's outcome from the mean one: as a difference of the two entropies,
     # which are larger by far, it would be lost to rounding
     shape = broadcast_shapes(log.shape, probability.shape)
     weights, probability = weights.expand(shape), probability.expand(shape)
-    contact = (weights * probability).sum(-1).clamp(0.0, 1.0)
-    gain = torch.zeros_like(contact)
+    gain = weights.new_zeros(shape[:-1])
     for chance in (probability, 1.0 - probability):
         mean = (weights * chance).sum(-1, keepdim=True)
         held = (weights * chance > 0) & (mean > 0)
@@ -56,29 +45,7 @@ def binary_outcome(log_weights: Float[Tensor, "*#b N"], probability: Float[Tenso
         log_ratio = torch.where(close, near, torch.where(held, chance, 1.0).log() - torch.where(held, mean, 1.0).log())
         # p log(p / q) - (p - q), of which the second part adds up to nothing
         gain = gain + (weights * (torch.where(held, chance * log_ratio, 0.0) - apart)).sum(-1)
-    entropy = weights_entropy(log).expand_as(gain)
-    return BinaryOutcome(contact, entropy, entropy - gain, gain)
-
-
-def channel_capacity(low: float, high: float) -> float:
-    """The most, nats, that a binary reading with P(contact) in [low, high] can tell of anything.
-
-    Capacity of the binary channel whose inputs lead to contact with probability low or high, in closed form.
-    """
-    if not 0 <= low <= high <= 1:
-        raise ValueError(f"Expected 0 <= low <= high <= 1, got {low} and {high}")
-    if low == high:
-        return 0.0
-    # at the best share of inputs both outcomes' divergences from the mean are equal
-    slope = (_binary(high) - _binary(low)) / (high - low)
-    mean = 1.0 / (1.0 + math.exp(slope))
-    share = min(max((mean - low) / (high - low), 0.0), 1.0)
-    return _binary(low + share * (high - low)) - (1.0 - share) * _binary(low) - share * _binary(high)
-
-
-def _binary(p: float) -> float:
-    """Entropy of a coin, nats."""
-    return -sum(q * math.log(q) for q in (p, 1.0 - p) if q > 0)
+    return gain
 
 
 class ExpectedGain(NamedTuple):
@@ -89,19 +56,12 @@ class ExpectedGain(NamedTuple):
         volume: (C, T), gain of the density term, which the motion until then brings.
         best_step: (C), steps after which a candidate's gain is highest, and at which it is cut off; 0 for staying.
         value: (C), gain there, 0 or more.
-        chosen: index of the best candidate, -1 where no candidate gains anything; a tensor where it is traced.
     """
 
     weights: Float[Tensor, "C T"]
     volume: Float[Tensor, "C T"]
     best_step: Int[Tensor, "C"]
     value: Float[Tensor, "C"]
-    chosen: int | Int[Tensor, ""]
-
-    @property
-    def total(self) -> Float[Tensor, "C T"]:
-        """Both terms."""
-        return self.weights + self.volume
 
 
 def expected_gain(
@@ -130,23 +90,19 @@ def expected_gain(
     check_shape("probability", probability, "(C, T, N)", last=(states.shape[1] - 1, states.shape[2]))
     if every < 1:
         raise ValueError(f"Expected every to be 1 or more, got {every}")
-    weights = binary_outcome(log_weights, probability).gain
+    weights = binary_gain(log_weights, probability)
     volume = torch.zeros_like(weights)
     if support is not None and weights.numel() > 0:
         volume = _volume_gain(states, log_weights, support, every)
     total = weights + volume
     if total.shape[1] == 0:
         nothing = total.new_zeros(len(total))
-        return ExpectedGain(weights, volume, nothing.long(), nothing, -1)
+        return ExpectedGain(weights, volume, nothing.long(), nothing)
     value, step = total.max(-1)
     gains = value > 0
     best_step = torch.where(gains, step + 1, 0)
     value = torch.where(gains, value, 0.0)
-    if is_eager():
-        chosen: int | Tensor = int(value.argmax()) if bool(gains.any()) else -1
-    else:
-        chosen = torch.where(gains.any(), value.argmax(), -1)
-    return ExpectedGain(weights, volume, best_step, value, chosen)
+    return ExpectedGain(weights, volume, best_step, value)
 
 
 def _volume_gain(

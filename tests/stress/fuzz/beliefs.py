@@ -9,7 +9,7 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.normal import expected_normal
-from rumi.information.binary_gain import binary_outcome, channel_capacity
+from rumi.information.binary_gain import binary_gain
 from rumi.information.entropy import SharedSupport
 from rumi.information.neighbours import StateMetric
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
@@ -17,6 +17,7 @@ from rumi.resampling import resample_systematic
 from rumi.weights import boltzmann
 from scripts.reproduce.correlation import pearson, run_correlation, spearman
 from scripts.reproduce.intervals import bootstrap_median, mcnemar, wilson
+from tests.fixtures.channel import channel_capacity
 from tests.fixtures.entropies import ENTROPIES, entropies
 from tests.stress.fuzz.draw import Draw, choice, log_weights, number, poses, sizes, tensor
 from tests.stress.fuzz.entered import out, table, target
@@ -74,9 +75,9 @@ def _entropies(draw: Draw) -> Iterable[Tensor]:
     log[0] = 0.0
     support = SharedSupport(StateMetric.planar(0.1), draw.integer(2, 5), floor=1e-3)
     chance = tensor(draw, count).abs().clamp(0.0, 1.0).to(states)
-    gain = binary_outcome(log, chance)
+    gain = binary_gain(log, chance)
     estimate = entropies(support)[choice(draw, ENTROPIES)](states, log)
-    return estimate, *gain
+    return estimate, gain
 
 
 @target

@@ -7,10 +7,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rumi.information.binary_gain import binary_outcome, channel_capacity
+from rumi.information.binary_gain import binary_gain
 from rumi.information.entropy import SharedSupport, weights_entropy
 from rumi.information.neighbours import StateMetric
 from sdf import backend
+from tests.fixtures.channel import channel_capacity
 from tests.fixtures.entropies import ENTROPIES, entropies
 from tests.stress import exact, measures
 from tests.stress.draws import choice, integer, log_uniform, log_weights, mixed, normal, uniform
@@ -120,7 +121,7 @@ def _draw_outcome(generator: torch.Generator) -> Inputs:
 
 
 def _gain(inputs: Inputs) -> Tensor:
-    return binary_outcome(inputs["log_weights"], inputs["probability"]).gain
+    return binary_gain(inputs["log_weights"], inputs["probability"])
 
 
 def _exact_gain(inputs: Inputs) -> Tensor:

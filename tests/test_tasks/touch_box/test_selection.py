@@ -6,7 +6,6 @@ import math
 import pytest
 import torch
 
-from rumi.information.binary_gain import channel_capacity
 from rumi.information.entropy import SharedSupport
 from rumi.information.neighbours import StateMetric
 from rumi.tasks.touch_box.selection import (
@@ -17,6 +16,7 @@ from rumi.tasks.touch_box.selection import (
     likeliest_gain,
     sequence_information,
 )
+from tests.fixtures.channel import channel_capacity
 
 SUPPORT = SharedSupport(StateMetric.planar(0.06), floor=1e-4)
 
