@@ -40,16 +40,12 @@ class ResampleMoveSettings(Checked):
         moves: Metropolis moves of every particle then.
         jitter_m: least and greatest standard deviation of the moves that know nothing of the others, log-uniform.
         crossed: share of moves along the difference of two other particles, which fit whatever shape they fill.
-        noise: standard deviation, per dimension of a step, that each update adds to the states; None for none, since
-            what is fixed does not move. With it there are no moves: old readings are of states that are no more. The
-            prior goes on to count, once: each weight changes by how much likelier the new state is by it.
     """
 
     trigger: Share = 0.5
     moves: CountOr0 = 8
     jitter_m: Annotated[tuple[Positive, Positive], ASCENDING] = (3e-4, 0.05)
     crossed: Share = 0.6
-    noise: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning, and what would drop a gradient."""
@@ -169,24 +165,21 @@ class ResampleMoveFilter:
         Raises:
             DegenerateBeliefError: no particle is possible any more.
         """
-        belief = self._predict(belief, generator)
+        with skipped_work.work("predictions") as work:
+            work.count(0.0, float(len(belief.log_weights)))  # what is fixed does not move
         told = new.log_likelihood(belief.states)
         log = belief.log_weights + told
         if not bool(torch.isfinite(log.logsumexp(-1))):
             raise DegenerateBeliefError(
                 "No particle explains the reading: more particles, or noise that fits the sensor"
             )
-        # with noise the states are new: all readings are held against them
-        target = belief.log_target + told if self.settings.noise is None else self.log_target(belief.states, every)
-        belief = StaticBelief(belief.states, log.log_softmax(-1), target)
+        belief = StaticBelief(belief.states, log.log_softmax(-1), belief.log_target + told)
         ess = belief.ess
         if ess >= self.settings.trigger * len(log):
             return belief, ResampleMoveInfo(ess, False, 0.0)
         index = resample_systematic(belief.log_weights, generator=generator)
         equal = resampled_weights(belief.log_weights, index)
         belief = StaticBelief(belief.states[index], equal, belief.log_target[index])
-        if self.settings.noise is not None:
-            return belief, ResampleMoveInfo(ess, True, 0.0)
         return self.move(belief, every, ess=ess, generator=generator)
 
     def move(
@@ -221,8 +214,7 @@ class ResampleMoveFilter:
 
         For evidence too sharp for the particles at hand: where a reading is far more exact than particles are apart,
         the one that happens to be nearest to some mode takes all weight, and every other mode dies with its particles.
-        Raised to a small power the likelihood lets many live on; moves bring them nearer before the power grows. Only
-        for a filter without noise.
+        Raised to a small power the likelihood lets many live on; moves bring them nearer before the power grows.
 
         Args:
             belief: before; weighed by the new evidence to the given power already.
@@ -247,22 +239,6 @@ class ResampleMoveFilter:
                 belief = self.start(belief.states[index], evidence=partly)
                 belief, _ = self.move(belief, partly, ess=ess, generator=generator)
         return belief
-
-    def _predict(self, belief: StaticBelief, generator: torch.Generator) -> StaticBelief:
-        """The belief before the reading: as it was, unless noise is asked for."""
-        count = float(len(belief.log_weights))
-        with skipped_work.work("predictions") as work:
-            if self.settings.noise is None:
-                work.count(0.0, count)
-                return belief
-            work.count(count, count)
-            like = belief.states
-            shape = (len(like), self.metric.dims)
-            draws = normal(shape, generator=generator, dtype=like.dtype, device=like.device)
-            states = belief.states + draws * draws.new_tensor(self.settings.noise)
-            before, after = self.log_prior(belief.states), self.log_prior(states)
-            change = after - torch.where(before > -math.inf, before, 0.0)
-            return replace(belief, states=states, log_weights=belief.log_weights + change)
 
     def _steps(self, size: int, others: Float[Tensor, "M ..."], generator: torch.Generator) -> Float[Tensor, "N D"]:
         """Steps that are as likely as their opposites: jitter of any size, or differences of other particles."""

@@ -44,17 +44,14 @@ def on(device: str) -> dict[str, Any]:
     return {"dtype": F64, "device": device, "prior": PlanarPrior(mean[None], spread)}
 
 
-def fixed(noise: tuple[float, ...] | None) -> Callable[..., Tensor]:
-    def run(generator: torch.Generator, prior: PlanarPrior, **like: Any) -> Tensor:
-        half = torch.tensor([0.1, 0.05], **like)
-        point, normal = torch.tensor([[0.1, 0.0], [1.0, 0.0]], **like)
-        touches = RectangleTouches.none(half, TouchNoise(), 0.01).with_touch(point, normal)
-        settings = ResampleMoveSettings(trigger=1.0, moves=2, noise=noise)
-        follow = ResampleMoveFilter(StateMetric.planar(0.1), prior.log_density, settings)
-        belief = follow.start(prior.sample(40, generator=generator))
-        return follow.update(belief, touches, touches, generator=generator)[0].states
-
-    return run
+def fixed(generator: torch.Generator, prior: PlanarPrior, **like: Any) -> Tensor:
+    half = torch.tensor([0.1, 0.05], **like)
+    point, normal = torch.tensor([[0.1, 0.0], [1.0, 0.0]], **like)
+    touches = RectangleTouches.none(half, TouchNoise(), 0.01).with_touch(point, normal)
+    settings = ResampleMoveSettings(trigger=1.0, moves=2)
+    follow = ResampleMoveFilter(StateMetric.planar(0.1), prior.log_density, settings)
+    belief = follow.start(prior.sample(40, generator=generator))
+    return follow.update(belief, touches, touches, generator=generator)[0].states
 
 
 def pushed(resampling: Any) -> Callable[..., Tensor]:
@@ -76,8 +73,7 @@ def noisy(generator: torch.Generator, prior: PlanarPrior, **like: Any) -> Tensor
 
 
 OPERATIONS: dict[str, Callable[..., Tensor]] = {
-    "fixed": fixed(None),
-    "fixed, with noise": fixed((0.001, 0.001, 0.01)),
+    "fixed": fixed,
     "replayed": pushed("replay"),
     "newcomers": pushed("newcomers"),
     "noise of a touch": noisy,

@@ -86,7 +86,7 @@ def test_moves_leave_a_distribution_as_it_is(metric):
     assert torch.allclose(spread(belief.states), widths, rtol=0.15)
 
 
-def test_nothing_is_predicted_unless_asked_for():
+def test_nothing_is_predicted():
     generator = torch.Generator().manual_seed(3)
     states = drawn(StateMetric.planar(0.1), 30, generator)
     reading = Gauss(torch.zeros(1, 2, dtype=F64), 10.0)
@@ -95,52 +95,6 @@ def test_nothing_is_predicted_unless_asked_for():
         belief, info = still.update(still.start(states), reading, reading, generator=generator)
         assert torch.equal(belief.states, states) and not info.resampled
     assert account.skipped() == {"predictions": 1.0}
-    noisy = ResampleMoveFilter(StateMetric.planar(0.1), flat, ResampleMoveSettings(noise=(0.1, 0.1, 0.2)))
-    with skipped_work.account() as account:
-        belief, _ = noisy.update(noisy.start(states), reading, reading, generator=generator)
-    apart = StateMetric.planar(0.1).difference(belief.states, states)
-    assert 0.05 < float(apart[:, 0].std()) < 0.2 and 0.1 < float(apart[:, 2].std()) < 0.4
-    assert account.skipped() == {"predictions": 0.0}
-
-
-def test_with_noise_the_prior_goes_on_to_count_once():
-    """Unread states that are jostled keep to their prior: within a square, and as a Gaussian."""
-    generator = torch.Generator().manual_seed(3)
-
-    class Nothing:
-        def log_likelihood(self, states):
-            return flat(states)
-
-    def square(states):
-        return torch.where((states.abs() <= 0.5).all(-1), 0.0, -math.inf).to(states)
-
-    follow = ResampleMoveFilter(StateMetric.euclidean(2), square, ResampleMoveSettings(noise=(0.2, 0.2)))
-    belief = follow.start(torch.rand(500, 2, generator=generator, dtype=F64) - 0.5)
-    for _ in range(5):
-        belief, _ = follow.update(belief, Nothing(), Nothing(), generator=generator)
-        outside = (belief.states.abs() > 0.5).any(-1)
-        assert float(belief.log_weights.exp()[outside].sum()) == 0.0
-        assert torch.equal(belief.log_target, square(belief.states))
-        assert float(belief.log_weights.exp().sum()) == pytest.approx(1.0)
-    centre, wide = 0.1, 0.3
-    gauss = ResampleMoveFilter(
-        StateMetric.euclidean(2),
-        lambda s: -0.5 * ((s - centre) / wide).square().sum(-1),
-        ResampleMoveSettings(noise=(0.1, 0.1)),
-    )
-    belief = gauss.start(centre + wide * torch.randn(4000, 2, generator=generator, dtype=F64))
-    for _ in range(10):
-        belief, _ = gauss.update(belief, Nothing(), Nothing(), generator=generator)
-    weights = belief.log_weights.exp()[:, None]
-    mean = (weights * belief.states).sum(0)
-    spread = (weights * (belief.states - mean).square()).sum(0).sqrt()
-    # ten steps of 0.1 would have made it 0.44 wide, the prior counted in each of them 0.1
-    assert torch.allclose(mean, torch.full((2,), centre, dtype=F64), atol=0.03)
-    assert torch.allclose(spread, torch.full((2,), wide, dtype=F64), rtol=0.1)
-    reading = Gauss(torch.tensor([[0.2, 0.1]], dtype=F64), 0.1)
-    belief, _ = gauss.update(belief, reading, reading, generator=generator)
-    assert torch.allclose(belief.log_target, gauss.log_target(belief.states, reading))
-    assert torch.equal(belief.best, belief.states[gauss.log_target(belief.states, reading).argmax()])
 
 
 def test_one_particle_moves_as_often_as_others():
