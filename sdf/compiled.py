@@ -10,6 +10,7 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -55,6 +56,11 @@ def supports(*tensors: Tensor) -> bool:
         if tensor.is_floating_point() and tensor.dtype not in _FLOATS:
             return False
     return True
+
+
+def arrays_of(*tensors: Tensor) -> tuple[np.ndarray, ...]:
+    """Tensors as the contiguous arrays that compiled versions take."""
+    return tuple(tensor.detach().contiguous().numpy() for tensor in tensors)
 
 
 def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without types)

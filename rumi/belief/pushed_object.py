@@ -13,7 +13,7 @@ from torch import Tensor
 from rumi.belief.felt_force import directions_of, log_likelihood_of_forces
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.systematic_errors import NUMBERS, SystematicErrors
-from rumi.belief.trajectory_history import History, arrays_of
+from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_likelihood import facing_step_m, replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path, unwrapped
@@ -270,7 +270,7 @@ class PushedObject:
         outline = self.outline
         place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
         numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m, 1.0))
-        return arrays_of((tool.T.flatten(), groups, outline.values, numbers))
+        return compiled.arrays_of(tool.T.flatten(), groups, outline.values, numbers)
 
 
 @backend.register("replay_trajectories", "numba", compiled.supports)
@@ -291,7 +291,7 @@ def _replay_numba(
 
     poses, found = given.poses.clone(), given.log_likelihood.clone()
     scales, logs = tables(own)
-    particles = arrays_of((first, least, poses, found, given.physics, given.noise))
+    particles = compiled.arrays_of(first, least, poses, found, given.physics, given.noise)
     grid = grid_arguments(model.sdf, torch.float32)
     others = (own.centre_change_m, own.least_m, own.missed, history.power, bool(own.rim), own.push_m)
     scales = torch.cat((scales, scales.new_tensor((*others, facing_step_m(own), model.resting_m))))

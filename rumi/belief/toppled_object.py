@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.systematic_errors import SystematicErrors
-from rumi.belief.trajectory_history import History, Kind, arrays_of
+from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_likelihood import replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
@@ -108,7 +108,7 @@ class ToppledObject:
         """
         from sdf.grid_sdf import tabulated
 
-        tool = arrays_of((self.tool.T.float().flatten(), _extents(self.tool).float().flatten()))
+        tool = compiled.arrays_of(self.tool.T.float().flatten(), _extents(self.tool).float().flatten())
         return tool, tabulated(self.sdf).box_of().float().flatten().numpy()
 
     @property
@@ -266,12 +266,12 @@ def _replay_numba(
     done, sensed = history.arrays
     turned = rests.turn, rests.height_m, rests.centre, rests.spread_m
     kernel(
-        arrays_of((first, least, poses, logs, given.physics, given.noise)),
+        compiled.arrays_of(first, least, poses, logs, given.physics, given.noise),
         done,
         sensed,
         *model.arrays,
-        arrays_of((*turned, edges.point, edges.normal, edges.tip_rad, edges.next, edges.change)),
-        *arrays_of((numbers, scales, priced)),
+        compiled.arrays_of(*turned, edges.point, edges.normal, edges.tip_rad, edges.next, edges.change),
+        *compiled.arrays_of(numbers, scales, priced),
         grid_arguments(model.sdf, torch.float32),
     )
     return poses, logs

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from sdf.compiled import arrays_of
+
 NODES = 2001
 """Distances from the surface that the compiled version's log-likelihoods of a kind are a table over; odd, 0 amid."""
 
@@ -98,7 +100,7 @@ class History:
         """What was done and what was sensed, as the compiled version takes them: points by coordinate, float32."""
         done = self.tool, self.pushes, self.ends, self.action, self.point_ends
         sensed = self.points.T.float().flatten(), self.weight.float(), (NODES * self.kind).int()
-        return arrays_of(done), arrays_of(sensed)
+        return arrays_of(*done), arrays_of(*sensed)
 
     def appended(self, segment: Segment, *, opens: bool = True) -> Self:
         """With one more segment.
@@ -228,8 +230,3 @@ class History:
         """Number of points of the segments before one."""
         first = int(self.ends[segment - 1]) if segment else 0
         return int(self.point_ends[first - 1]) if first else 0
-
-
-def arrays_of(tensors: tuple[Tensor, ...]) -> tuple[np.ndarray, ...]:
-    """Tensors as the contiguous arrays that compiled versions take."""
-    return tuple(part.detach().contiguous().numpy() for part in tensors)

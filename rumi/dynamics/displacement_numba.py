@@ -14,7 +14,7 @@ import torch
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.displacement_contact_numba import pushes, touch
 from rumi.robot.tool_numba import residual, step_within
-from sdf.compiled import Kernel, bare
+from sdf.compiled import Kernel, arrays_of, bare
 from sdf.part_numba import indices
 from sdf.voxel_grid import VoxelGrid
 
@@ -187,18 +187,18 @@ class CompiledRollouts:
             grid if self._spatial else grid[:, :, 0] for grid in (probability.values, normal.values, bound.values)
         ]
         padded = torch.nn.functional.pad(values[0], [2] * 2 * axes)
-        along, across, up = _arrays(*cover.sets.unbind(-1))
-        self._body = (along, across, *_arrays(cover.starts, cover.order))
+        along, across, up = arrays_of(*cover.sets.unbind(-1))
+        self._body = (along, across, *arrays_of(cover.starts, cover.order))
         self._heights = up if self._spatial else None
-        self._fields = _arrays(padded.flatten(), probability.origin, values[1])
+        self._fields = arrays_of(padded.flatten(), probability.origin, values[1])
         # nodes of zeros about the bound, on which all that lies outside lands; a single node holds everywhere
         wide = [int(size > 1) for size in values[2].shape]
         around = torch.nn.functional.pad(values[2], [side for width in reversed(wide) for side in (width, width)])
         nodes, wide = (*around.shape, 1)[:3], (*wide, 0)[:3]
         first = [float(begin) - width * probability.spacing for begin, width in zip(bound.origin, wide, strict=True)]
         numbers = np.array((*first, *(size - 1 for size in nodes), nodes[1] * nodes[2], nodes[2]))
-        self._discs = (*_arrays(around.flatten()), numbers, *_arrays(cover.centres.mT.flatten().to(around)))
-        (self._action,) = _arrays(model.tool.scale)
+        self._discs = (*arrays_of(around.flatten()), numbers, *arrays_of(cover.centres.mT.flatten().to(around)))
+        (self._action,) = arrays_of(model.tool.scale)
         self._arm = model.tool.arm_arrays()
         self._sizes = np.array((*padded.shape, *(1,) * (3 - axes), 1.0 / probability.spacing, tie))
         settings = model.settings
@@ -215,7 +215,7 @@ class CompiledRollouts:
         duplicate_of = torch.empty(samples, rollouts, dtype=torch.long)
         checks = torch.zeros(samples, dtype=torch.long)
         push_rollouts(
-            *_arrays(configuration, controls, uniforms),
+            *arrays_of(configuration, controls, uniforms),
             self._action,
             self._body,
             self._heights,
@@ -239,7 +239,3 @@ class CompiledRollouts:
             np.empty((samples, len(self._discs[2]) // 3), self._fields[0].dtype),
             np.empty((samples, len(self._body[0])), self._fields[0].dtype),
         )
-
-
-def _arrays(*tensors):
-    return tuple(tensor.detach().contiguous().numpy() for tensor in tensors)

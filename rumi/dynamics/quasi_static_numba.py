@@ -12,7 +12,7 @@ from rumi.dynamics.base import PushRollouts, rigid_motions
 from rumi.dynamics.sliding_numba import settled, slope, turned
 from rumi.robot.border import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
-from sdf.compiled import Kernel, bare
+from sdf.compiled import Kernel, arrays_of, bare
 from sdf.intrinsics_numba import at, next_to, node, pair, put
 from sdf.part_numba import indices
 
@@ -262,9 +262,9 @@ class CompiledRollouts:
     def __init__(self, model):
         self._model = model
         border, outline = model.border, model.outline
-        groups = _arrays(*border.centres.unbind(-1), border.radii + outline.slack)
-        self._body = (*_arrays(*border.sets.flatten(0, 1).unbind(-1), border.groups.flatten()), groups)
-        self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
+        groups = arrays_of(*border.centres.unbind(-1), border.radii + outline.slack)
+        self._body = (*arrays_of(*border.sets.flatten(0, 1).unbind(-1), border.groups.flatten()), groups)
+        self._outline = arrays_of(outline.values, outline.values.flatten(), outline.origin.double())
         self._numbers = np.array((outline.spacing, 1.0 / outline.steepness, model.reach, border.radius))
         self._settings = model.settings
 
@@ -279,9 +279,9 @@ class CompiledRollouts:
         contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
         alike, checks = torch.empty(shape, dtype=torch.long), torch.empty(samples, dtype=torch.long)
         push_rollouts(
-            *_arrays(controls.reshape(samples, horizon, controls.shape[-1]), self._model.tool.scale),
+            *arrays_of(controls.reshape(samples, horizon, controls.shape[-1]), self._model.tool.scale),
             self._model.tool.arm_arrays(),
-            *_arrays(path, poses.reshape(math.prod(shape[:-2]), rollouts, 3)),
+            *arrays_of(path, poses.reshape(math.prod(shape[:-2]), rollouts, 3)),
             _bodies(sliding),
             self._body,
             self._outline,
@@ -316,7 +316,3 @@ def _bodies(sliding):
     quartic = sliding.lever.new_zeros(len(sliding.lever), 5) if sliding.quartic is None else sliding.quartic
     parts = (sliding.centre, sliding.lever[:, None], sliding.friction[:, None], quartic)
     return torch.cat(parts, -1).double().contiguous().numpy()
-
-
-def _arrays(*tensors):
-    return tuple(tensor.detach().contiguous().numpy() for tensor in tensors)

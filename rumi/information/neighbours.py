@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -153,7 +153,7 @@ def _leaders_numba(flat: Tensor, weights: Tensor, metric: StateMetric) -> Tensor
     from rumi.information.neighbours_numba import leaders
 
     leader = torch.empty(weights.shape, dtype=torch.long)
-    leaders(*_arrays(flat, weights), np.array(metric.angles), leader.numpy())
+    leaders(*compiled.arrays_of(flat, weights), np.array(metric.angles), leader.numpy())
     return leader
 
 
@@ -207,18 +207,14 @@ def _nearest_numba(
 
     sides, distance, mass = torch.zeros_like(flat), torch.zeros_like(weights), torch.zeros_like(weights)
     nearest(
-        *_arrays(flat, first, weights),
+        *compiled.arrays_of(flat, first, weights),
         np.array(metric.scales),
         np.array(metric.angles),
-        *_arrays(used),
+        *compiled.arrays_of(used),
         include_self,
         *(part.numpy() for part in (sides, distance, mass)),
     )
     return sides, distance, mass
-
-
-def _arrays(*tensors: Tensor) -> tuple[Any, ...]:
-    return tuple(tensor.detach().contiguous().numpy() for tensor in tensors)
 
 
 def _parts(flat: Float[Tensor, "B N D"]) -> Iterator[slice]:
