@@ -21,8 +21,9 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories
 from rumi.belief.prior import PosePrior
+from rumi.belief.segments import above
 from rumi.belief.toppled_object import ToppledObject
-from rumi.belief.trajectory_history import History, Segment
+from rumi.belief.trajectory_history import History
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, lone
@@ -162,10 +163,7 @@ def _mixture(islands: Sequence[PoseBelief], log_shares: Float[Tensor, "I"]) -> I
 
 def _as_of_now(parts: Sequence[Trajectories]) -> Trajectories:
     """Particles of different histories: where they are, how they slid last, and one segment without readings."""
-    none = torch.zeros(0, dtype=torch.long)
-    points: Float[Tensor, "0 3"] = torch.zeros(0, 3, dtype=torch.float64)
-    still = torch.zeros(1, 2, 4, dtype=torch.float64)
-    history = History.empty(4).appended(Segment(still, False, points, none, none, points[:, 0]))
+    history = History.empty(4).appended(above(torch.zeros(1, 2, 4, dtype=torch.float64)))
     noise = [part.noise[:, -1:] if part.noise.shape[1] else part.noise.new_zeros(len(part), 1, NOISE) for part in parts]
     pose = torch.cat([part.pose for part in parts])
     return Trajectories(

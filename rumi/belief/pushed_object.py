@@ -19,6 +19,7 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.sliding import Sliding, gathered, push, rotated
+from rumi.robot.border import bounding_balls
 from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
@@ -263,9 +264,7 @@ class PushedObject:
 
         more = -len(self.tool) % (GROUP * GROUP)
         tool = torch.cat((self.tool, self.tool[-1:].expand(more, 2)))
-        parts = tool.view(-1, GROUP, 2)
-        centre = 0.5 * (parts.amin(1) + parts.amax(1))
-        far = (parts - centre[:, None]).norm(dim=-1).amax(1)
+        centre, far = bounding_balls(tool.view(-1, GROUP, 2))
         groups = torch.cat((centre.T.flatten(), far))
         outline = self.outline
         place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
+from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_likelihood import replay_plain, tables
@@ -20,6 +20,7 @@ from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, rotated
 from rumi.dynamics.tool_contact import GROUP
 from rumi.dynamics.toppling import Leaning, push_in_space
+from rumi.robot.border import bounding_balls
 from rumi.robot.gripper import GripperShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
@@ -163,19 +164,12 @@ class ToppledObject:
         self, own: PoseTrajectorySettings, some: Float[Tensor, "n 6"], path: Float[Tensor, "K 2 4"]
     ) -> Float[Tensor, "n K 6"]:
         """Where poses go by the median of the prior."""
-        many, instants = len(some), torch.arange(len(path))
+        instants = torch.arange(len(path))
         none, flat = torch.zeros_like(instants), some.new_zeros(len(path), 3)
         sensed = torch.eye(4).to(some).expand(len(path), 4, 4), flat[:, 0]
         told = History(path, none == 0, instants + 1, instants, flat[:0], none[:0], flat[:0, 0], none, flat, *sensed)
-        given = Trajectories(
-            some.new_zeros(many, PHYSICS),
-            some.new_zeros(many, len(path), NOISE),
-            some[:, None].repeat(1, len(path) + 1, 1),
-            some.new_zeros(many, len(path)),
-            told,
-            some[:0],
-        )
-        return given.replayed(self, own, told, torch.zeros(many, dtype=torch.long)).poses[:, 1:]
+        first = torch.zeros(len(some), dtype=torch.long)
+        return Trajectories.still(some, told).replayed(self, own, told, first).poses[:, 1:]
 
     def step(
         self,
@@ -295,6 +289,5 @@ def _grouped(points: Float[Tensor, "n 3"]) -> Float[Tensor, "m 3"]:
 def _extents(points: Float[Tensor, "m 3"]) -> Float[Tensor, "7 G"]:
     """Middle and half sides of a box about each group, and radius of a sphere about that middle."""
     groups = points.view(-1, GROUP, 3)
-    middle = 0.5 * (groups.amin(1) + groups.amax(1))
-    apart = (groups - middle[:, None]).norm(dim=-1).amax(1)
+    middle, apart = bounding_balls(groups)
     return torch.cat((middle, groups.amax(1) - middle, apart[:, None]), -1).T
