@@ -25,23 +25,15 @@ Predictor = Callable[[PoseBelief, Reading], Tensor]
 """World motion (*b, K, 4, 4) that a push model makes of a belief and the tool's path."""
 
 
-def sticking_motion(
-    tool_pose: Float[Tensor, "*b K 4 4"], in_contact: Bool[Tensor, "*b K"]
-) -> Float[Tensor, "*b K 4 4"]:
-    """World motion of an object that sticks to the tool while touched: product of E_k E_{k-1}^-1 over contacts.
-
-    The paper's Delta T_r is the tool's motion in its own frame; the world motion of what sticks to it is
-    `E' E^-1`. A step counts where both its ends touch, so that the approach does not move the object.
-    """
-    return slip_motion(tool_pose, in_contact)
-
-
 def slip_motion(
     tool_pose: Float[Tensor, "*b K 4 4"],
     in_contact: Bool[Tensor, "*b K"],
     slip: Float[Tensor, "*b K 4 4"] | None = None,
 ) -> Float[Tensor, "*b K 4 4"]:
     """World motion of an object whose slip at the tool is measured: product of E_k S_k E_{k-1}^-1 over contacts.
+
+    Of one that sticks to the tool while touched without slip: the paper's Delta T_r is the tool's motion in its own
+    frame; the world motion of what sticks to it is `E' E^-1`. The approach does not move the object.
 
     Args:
         tool_pose: (*b, K, 4, 4), E_k, world_T_tool at each instant.
@@ -117,7 +109,7 @@ def object_motion(
             )
         return reading.object_motion
     if kind == "sticking":
-        return sticking_motion(reading.tool_pose, reading.in_contact)
+        return slip_motion(reading.tool_pose, reading.in_contact)
     if kind in ("pushed", "corrected"):
         if pushed is None:
             raise ValueError(f"Expected a push model for the motion {kind!r}, got None: give the filter one")
@@ -126,7 +118,7 @@ def object_motion(
             return motion
         return corrected_motion(motion, belief, reading, discrepancy, search, descent)
     if kind == "estimated":
-        motion = sticking_motion(reading.tool_pose, reading.in_contact)
+        motion = slip_motion(reading.tool_pose, reading.in_contact)
         return corrected_motion(motion, belief, reading, discrepancy, search, descent)
     raise ValueError(f"Expected motion to be one of {', '.join(MOTIONS)}, got {kind!r}")
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from rumi.belief.motion import object_motion, slip_motion, sticking_motion
+from rumi.belief.motion import object_motion, slip_motion
 from rumi.belief.particles import PoseBelief
 from rumi.registration.descent import DescentSettings
 from sdf import se3
@@ -20,14 +20,14 @@ MODULE = Discrepancy(Box((0.04, 0.06, 0.1)).double(), 0.125, free_scale=10.0, to
 def test_golden_sticking_and_noise_about_the_object(golden):
     case = golden("rumi.sticking")
     tool = torch.tensor([case["inputs"]["E0"], case["inputs"]["E1"]], dtype=F64)
-    motion = sticking_motion(tool, torch.tensor([True, True]))
+    motion = slip_motion(tool, torch.tensor([True, True]))
     torch.testing.assert_close(motion[-1], torch.tensor(case["expected"]["M"], dtype=F64), atol=1e-9, rtol=0)
     world_T_object = se3.inverse(torch.tensor(case["inputs"]["T"], dtype=F64))
     torch.testing.assert_close(
         se3.inverse(motion[-1] @ world_T_object), torch.tensor(case["expected"]["T_new"], dtype=F64), atol=1e-9, rtol=0
     )
     # an approach without contact moves nothing
-    torch.testing.assert_close(sticking_motion(tool, torch.tensor([False, True]))[-1], torch.eye(4, dtype=F64))
+    torch.testing.assert_close(slip_motion(tool, torch.tensor([False, True]))[-1], torch.eye(4, dtype=F64))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -47,7 +47,7 @@ def test_measured_slip_gives_the_objects_motion(seed):
     torch.testing.assert_close(found[:, 2:5] @ world_T_object[:, 2:3], world_T_object[:, 2:5])
     torch.testing.assert_close(found[:, 5], found[:, 4])
     stuck = slip_motion(tool, late, torch.eye(4, dtype=F64).expand(2, 6, 4, 4))
-    torch.testing.assert_close(stuck, sticking_motion(tool, late))
+    torch.testing.assert_close(stuck, slip_motion(tool, late))
 
 
 def test_estimated_motion_recovers_a_slip():

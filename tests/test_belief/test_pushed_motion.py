@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.belief.motion import PushedMotion, object_motion, sticking_motion
+from rumi.belief.motion import PushedMotion, object_motion, slip_motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.dynamics.along_path import PathMotion, push_along_path
@@ -72,7 +72,7 @@ def test_it_is_nearer_to_the_simulator_than_sticking(pushed: PushedMotion, yaw: 
     after = track.world_T_object[-1]
     felt = reading(track.configuration.float())
     found = pushed(belief(yaw), felt)[-1].double() @ before
-    stuck = sticking_motion(felt.tool_pose, felt.in_contact)[-1].double() @ before
+    stuck = slip_motion(felt.tool_pose, felt.in_contact)[-1].double() @ before
     metres, radians = se3.distance(found, after)
     assert float(se3.distance(before, after)[0]) > 0.02
     assert float(metres) < 0.006
