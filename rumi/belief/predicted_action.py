@@ -17,14 +17,14 @@ from rumi.resampling import systematic
 from rumi.weights import normalise
 
 
-def log_evidence(
+def predicted(
     before: Trajectories,
     log_weights: Float[Tensor, "N"],
     history: History,
     pose_filter: PoseTrajectoryFilter,
     generator: torch.Generator,
-) -> float:
-    """Log marginal likelihood of an action's readings.
+) -> Trajectories:
+    """Particles after an action, with the log marginal likelihood of its readings.
 
     Args:
         before: particles before the action.
@@ -33,17 +33,6 @@ def log_evidence(
         pose_filter: of whose prior the action is.
         generator: of the draws.
     """
-    return predicted(before, log_weights, history, pose_filter, generator).log_evidence
-
-
-def predicted(
-    before: Trajectories,
-    log_weights: Float[Tensor, "N"],
-    history: History,
-    pose_filter: PoseTrajectoryFilter,
-    generator: torch.Generator,
-) -> Trajectories:
-    """Particles after an action, with the log marginal likelihood of its readings; arguments as of `log_evidence`."""
     rows = systematic(log_weights.double(), 0.5, len(before))
     start, errors = before.pose[rows].clone(), before.systematic[rows]
     now = Trajectories.drawn(start, History.empty(history.tool.shape[-1]), generator, systematic=errors)

@@ -19,7 +19,7 @@ from torch import Tensor
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
-from rumi.belief.predicted_action import followed, log_evidence
+from rumi.belief.predicted_action import followed, predicted
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import besides, seen_besides
 from rumi.belief.sensed_motion import USUAL_NATS
@@ -104,7 +104,7 @@ def log_ratios(
     none = after.log_evidence - before.log_evidence
     felt = bool((history.kind == Kind.FELT).any())
     if felt and none < -_UNLIKELY:  # an estimate that errs by nats: the mean of two
-        again = log_evidence(before, log_weights, history, pose_filter, generator)
+        again = predicted(before, log_weights, history, pose_filter, generator).log_evidence
         none = float(np.logaddexp(none, again)) - math.log(2.0)
     gone, dead = without_feeling(history, sensed)
     seen = history.kind == Kind.SEEN
@@ -112,7 +112,7 @@ def log_ratios(
         gone, seen = gone - math.log(_HIDDEN), history.kind == Kind.FREE
     if bool(seen.any()):  # the object is there and as hard to foresee, whatever the hand feels
         shown = replace(history.unsensed(), weight=history.weight.masked_fill(~seen, 0.0))
-        dead += log_evidence(before, log_weights, shown, pose_filter, generator)
+        dead += predicted(before, log_weights, shown, pose_filter, generator).log_evidence
     told |= {"absent": gone - none, "dead hand": dead - none}
     if felt:
         unmet = unmet_instants(after, history, model)
@@ -135,13 +135,13 @@ def log_ratios(
         return _tensor(told).clamp_max(_TELLS)
     if repeated:
         blind = replace(history, weight=history.weight.masked_fill(history.kind == Kind.SEEN, 0.0))
-        misses = log_evidence(before, log_weights, blind, pose_filter, generator) - none
+        misses = predicted(before, log_weights, blind, pose_filter, generator).log_evidence - none
         # a view that does not fit is no repetition by chance; one that does may well be, of what stands still
         told["stale camera"] = misses - (math.log(own.outlier) if misses > _TELLS else 0.0)
     told["knocked"] = log_knocked(before, log_weights, history, pose_filter, own, generator) - none
     if felt and none < -_STRAINED:
         doubting = pose_filter.doubting()
-        told["push model off"] = log_evidence(before, log_weights, history, doubting, generator) - none
+        told["push model off"] = predicted(before, log_weights, history, doubting, generator).log_evidence - none
     return _tensor(told)
 
 
@@ -193,7 +193,7 @@ def log_beside(
     others = torch.isin(at, torch.tensor(unmet))
     strange = float(history.weight[others & (history.kind == Kind.FELT)].sum())
     rest = replace(history, weight=history.weight.masked_fill(others, 0.0))
-    told = log_evidence(before, log_weights, rest, pose_filter, generator)
+    told = predicted(before, log_weights, rest, pose_filter, generator).log_evidence
     return strange * math.log(pose_filter.own.outliers), told
 
 

@@ -10,7 +10,7 @@ from rumi.belief.change_test import ChangeTest
 from rumi.belief.island_faults import ISLAND_FAULTS, false_touch, log_ratios
 from rumi.belief.island_filter import IslandFilter, islands_of
 from rumi.belief.misfit import MisfitSettings
-from rumi.belief.predicted_action import log_evidence
+from rumi.belief.predicted_action import predicted
 from rumi.belief.stuck_hand import Told
 from rumi.belief.trajectory_faults import ALIKE, by_brief_touch
 from rumi.seeding import generator
@@ -130,7 +130,7 @@ def test_no_fault_is_what_the_filter_adds_up(box, prior, followed):
     after, _, _ = followed(before, begin(followed, prior)[1], reading, generator=generator(3))
     for last, now in zip(islands_of(before), islands_of(after), strict=True):
         history = now.every.history
-        again = log_evidence(last.every, last.every_log_weight, history, followed, generator(5))
+        again = predicted(last.every, last.every_log_weight, history, followed, generator(5)).log_evidence
         assert abs(again - (now.every.log_evidence - last.every.log_evidence)) < 1.0
 
 
