@@ -35,6 +35,11 @@ def equal_weights(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
     return normalise(torch.zeros_like(log_weights))
 
 
+def even_weights(count: int) -> Float[Tensor, "N"]:
+    """Log-weights -log N of N particles in float64."""
+    return normalise(torch.zeros(count, dtype=torch.float64))
+
+
 def resampled_weights(log_weights: Float[Tensor, "*b N"], index: Int[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
     """Log-weights -log N of the particles `index`, with the slope of the weights that they were drawn by.
 
