@@ -41,6 +41,10 @@ class RectangleOutline:
         away = torch.where(length > 0, outside / length.clamp_min(1e-12), nearest)
         return OutlineQuery(distance, away * torch.where(points_o < 0, -1.0, 1.0).to(away))
 
+    def to(self, like: Tensor) -> "RectangleOutline":
+        """Itself: it is of no device and of no dtype."""
+        return self
+
 
 @dataclass(frozen=True, eq=False)
 class GridOutline:

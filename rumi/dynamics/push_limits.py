@@ -42,7 +42,7 @@ def held_twice(
     points = body.pusher.points.to(poses)
     placed = tools[:, None, :2] + rotated(points, tools[:, None, 2])
     local = rotated(placed - poses[:, None, :2], -poses[:, None, 2])
-    outline = body.outline.to(poses) if hasattr(body.outline, "to") else body.outline
+    outline = body.outline.to(poses)
     way = 3.0 * near_m
     angle = torch.arange(_SIDES, dtype=poses.dtype, device=poses.device) * (2.0 * math.pi / _SIDES)
     moved = local[:, None] - way * torch.stack((angle.cos(), angle.sin()), -1)[:, None]

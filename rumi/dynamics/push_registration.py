@@ -105,7 +105,7 @@ def touches(
     pose, points = put_right(poses, shifts), body.pusher.points.to(poses)
     placed = tools[:, None, :2] - shifts[:2] + rotated(points, tools[:, None, 2])
     local = rotated(placed - pose[:, None, :2], -pose[:, None, 2])
-    outline = body.outline.to(pose) if hasattr(body.outline, "to") else body.outline
+    outline = body.outline.to(pose)
     gap, index = outline(local).distance.min(-1)
     point = local[torch.arange(len(local)), index]
     gradient = outline(point).gradient

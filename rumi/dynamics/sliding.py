@@ -51,6 +51,10 @@ class Outline(Protocol):
         """Signed distance and gradient at points of the object's frame."""
         ...
 
+    def to(self, like: Tensor) -> "Outline":
+        """Itself, or a copy, on the device and of the dtype of a tensor."""
+        ...
+
 
 class Sliding(NamedTuple):
     """Parameters of sliding; one value or one for each object.

@@ -76,7 +76,7 @@ def _tracked_ends(
     shift = torch.cat((shifts[:, :2], torch.zeros_like(shifts[:, :1])), -1)
     # the object is moved in place of the tool: only where they are to each other matters
     whole = (put_right(start[:, None].expand(-1, count, -1), shifts) + shift).reshape(-1, 3)
-    outline = body.outline.to(start) if hasattr(body.outline, "to") else body.outline
+    outline = body.outline.to(start)
     pusher, paths = Pusher(body.pusher.points.to(start), body.pusher.thickness), path.repeat_interleave(count, 0)
     whole = separated(whole, paths[:, 0], pusher, outline)
     track = push_along_path(

@@ -88,6 +88,9 @@ def test_other_outlines_work_too(generator: torch.Generator) -> None:
             length = points_o.norm(dim=-1)
             return OutlineQuery(length - 0.05, points_o / length[..., None])
 
+        def to(self, like: Tensor) -> "Round":
+            return self
+
     _, sliding = objects(generator, 1)
     pose = torch.tensor([[0.0, 0.02, 0.0]], **DOUBLE)
     found = push_along_path(
