@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rumi.weights import effective_sample_size, resampled_weights
 from sdf.batch import broadcast_shapes
-from sdf.containers import container
+from sdf.containers import container, index
 
 
 class TouchAction(NamedTuple):
@@ -64,10 +64,7 @@ class TrajectoryBelief:
 
     def at(self, rows: Tensor) -> "TrajectoryBelief":
         """Some runs."""
-        parts = (getattr(self, name) for name in _PARTS)
-        start, friction, lever, pose, log_weights, log_likelihood = (part[rows] for part in parts)
-        noise = tuple(part[rows] for part in self.noise)
-        return TrajectoryBelief(start, friction, lever, noise, pose, log_weights, log_likelihood)
+        return index(self, rows)
 
     def put(self, rows: Tensor, other: "TrajectoryBelief") -> "TrajectoryBelief":
         """The same with some runs of another."""
