@@ -8,9 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
+from rumi.belief.prior import evenly
 from rumi.registration.descent import DescentSettings, Search
 from rumi.registration.register import RegisterSettings, register
-from rumi.seeding import uniform
 from rumi.weights import boltzmann
 from sdf import se3
 from sdf.bounds import Checked, Count, ShareAbove0
@@ -58,10 +58,7 @@ def view_starts(
         generator: shifts the spread.
     """
     index = torch.arange(count, dtype=surface.dtype, device=surface.device)
-    draw = uniform((3,), generator=generator, dtype=surface.dtype, device=surface.device)
-    # a three-dimensional Kronecker sequence covers yaw and disc evenly at any count (R3 sequence)
-    base = 1.2207440846057596
-    share = torch.stack([(draw[k] + (index + 1) / base ** (k + 1)) % 1.0 for k in range(3)], -1)
+    share = evenly(index, generator=generator)
     angle, radius = 2 * torch.pi * share[:, 1], reach_m * share[:, 2].sqrt()
     centre = 0.5 * (surface.amin(0) + surface.amax(0))
     planar = torch.stack(
