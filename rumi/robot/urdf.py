@@ -16,7 +16,7 @@ from sdf import se3
 from sdf.base import SDF
 from sdf.extras import optional
 from sdf.mesh.convex import hull
-from sdf.mesh.mesh import TriangleMesh, load_mesh
+from sdf.mesh.mesh import MeshError, TriangleMesh, load_mesh
 from sdf.primitives import Box, Cylinder, Placed, Sphere
 from sensors.vision.robot_body import RobotBody
 
@@ -78,7 +78,8 @@ class UrdfBody:
             packages: folders of the packages that `package://` names.
 
         Raises:
-            UsageError: no URDF, no collision shapes, a shape of another kind, or joints that cannot be.
+            UsageError: no URDF, no collision shapes, a shape of another kind or without its size, a mesh that cannot be
+                read, or joints that cannot be.
             ModuleNotFoundError: pytorch-kinematics is not installed.
         """
         pytorch_kinematics = optional("pytorch_kinematics", "A robot's chain")
@@ -139,11 +140,14 @@ def _shape(collision: ElementTree.Element, folder: Path, packages: Mapping[str, 
     if shape.tag == "box":
         member = Box([0.5 * side for side in _three("size of a box", str(shape.get("size")))])
     elif shape.tag == "sphere":
-        member = Sphere(float(str(shape.get("radius"))))
+        member = Sphere(_size(shape, "radius"))
     elif shape.tag == "cylinder":
-        member = Cylinder(float(str(shape.get("radius"))), 0.5 * float(str(shape.get("length"))))
+        member = Cylinder(_size(shape, "radius"), 0.5 * _size(shape, "length"))
     elif shape.tag == "mesh":
-        member = Hull(_mesh(shape, folder, packages))
+        try:
+            member = Hull(_mesh(shape, folder, packages))
+        except MeshError as error:
+            raise UsageError(str(error)) from error
     else:
         raise UsageError(f"Expected a box, sphere, cylinder or mesh in the URDF's collisions, got {shape.tag!r}")
     roll, pitch, yaw = (
@@ -160,6 +164,18 @@ def _three(name: str, text: str) -> list[float]:
         found = []
     if len(found) != 3 or not all(map(math.isfinite, found)):
         raise UsageError(f"Expected three numbers for the {name} in the URDF, got {text!r}")
+    return found
+
+
+def _size(shape: ElementTree.Element, name: str) -> float:
+    """A size of a shape, such as its radius."""
+    text = shape.get(name)
+    try:
+        found = math.nan if text is None else float(text)
+    except ValueError:
+        found = math.nan
+    if not 0.0 < found < math.inf:
+        raise UsageError(f"Expected a {name} above 0 for each {shape.tag} in the URDF, got {text!r}")
     return found
 
 

@@ -139,6 +139,13 @@ def test_the_floor_and_the_arm_itself_are_in_the_way(six):
     assert "1 pairs" in folded.checked and int(lost.sum()) > 0 and float(near.max()) < 0.45 + 0.05
 
 
+def test_an_arm_whose_mesh_is_missing_is_not_checked_against_itself(six):
+    shape = '<link name="link6"><collision><geometry><mesh filename="none.stl"/></geometry></collision></link>'
+    reach = ArmReach.of_urdf(SIX.replace('<link name="link6"/>', shape), "tool", BOUNDS, settings=FEW)
+    assert "neither self-collision nor the floor is checked" in reach.checked and "none.stl" in reach.checked
+    assert reach.reached == six.reached
+
+
 @pytest.mark.parametrize(
     ("urdf", "far"),
     [

@@ -90,6 +90,25 @@ def test_what_a_urdf_lacks_is_said(robot, tmp_path):
         UrdfBody.load(stretched)
 
 
+@pytest.mark.parametrize("name", ["none.obj", "tip.dae"])
+def test_meshes_that_cannot_be_read_are_refused(name):
+    with pytest.raises(UsageError, match=name):
+        UrdfBody.load(ROBOT % MESH.replace("tip.obj", name))
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ("<sphere/>", "radius above 0 for each sphere"),
+        ('<sphere radius="wide"/>', "radius above 0 for each sphere"),
+        ('<cylinder radius="0.1"/>', "length above 0 for each cylinder"),
+    ],
+)
+def test_shapes_without_a_size_are_refused(shape, said):
+    with pytest.raises(UsageError, match=said):
+        UrdfBody.load(ROBOT % f"<collision><geometry>{shape}</geometry></collision>")
+
+
 @pytest.mark.parametrize(
     "damage",
     [('"0.2 0 0" rpy="0 0 0.5"', '"0.2 0" rpy="0 0 0.5"'), ("0.4 0.06 0.04", "0.4 0.06"), ("0 0 0.5", "0 nan 0.5")],
