@@ -64,14 +64,19 @@ class HandleGripper:
         shape: the mug, whose handle's ring is known.
         body: it in the simulator (`rumi.sim.bodies.body_of`).
         physics: its mass, and its friction on the floor.
+        believed: the mug that it is taken to be, by which the primitive goes; None for the mug that it is.
 
     Raises:
         UsageError: the object has no handle that is known.
     """
 
-    def __init__(self, shape: object, body: Body, physics: PhysicsSettings) -> None:
-        if not isinstance(shape, Mug):
-            raise UsageError(f"Expected a mug to grasp by its handle, got {type(shape).__name__}")
+    def __init__(self, shape: object, body: Body, physics: PhysicsSettings, believed: object = None) -> None:
+        believed = shape if believed is None else believed
+        for mug in (shape, believed):
+            if not isinstance(mug, Mug):
+                raise UsageError(f"Expected a mug to grasp by its handle, got {type(mug).__name__}")
+        assert isinstance(shape, Mug) and isinstance(believed, Mug)
+        self.believed = believed
         self._mujoco = _import_mujoco()
         self.shape, self.body, self.physics, self.settings = shape, body, physics, HandleGrasp()
         self.model: Any = self._mujoco.MjModel.from_xml_string(grasp_xml(shape, body, physics, self.settings))
@@ -81,8 +86,8 @@ class HandleGripper:
 
     @property
     def object_T_grasp(self) -> Float[Tensor, "4 4"]:
-        """Where the fingers close, in the mug's frame; they close along y."""
-        place = (self.shape.outer_radius + self.settings.out_m, 0.0, 0.0)
+        """Where the fingers are to close, in the mug's frame; they close along y."""
+        place = (self.believed.outer_radius + self.settings.out_m, 0.0, 0.0)
         return se3.make(torch.eye(3, dtype=torch.float64), torch.tensor(place, dtype=torch.float64))
 
     @property

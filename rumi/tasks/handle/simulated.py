@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.dynamics.sliding import rotated
 from rumi.robot.gripper import gripper_parts
 from rumi.robot.tool import Tool
 from rumi.seeding import split
@@ -18,6 +19,8 @@ from rumi.sim.conditions import image_errors
 from rumi.sim.fault import Fault
 from rumi.sim.force_sensing_world import ForceSensingWorld, WrenchTrace
 from rumi.sim.joint_torques import JointFeeler
+from rumi.sim.object_faults import Friction, Mass
+from rumi.sim.sensor_faults import HandOff
 from rumi.sim.sensor_settings import SensorKind, SensorSettings
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.view_faults import miscalibration
@@ -84,7 +87,12 @@ class HandleTask(SensedTask):
         self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None
         self._wrist_noise, self._joint_noise, self._from = torch.Generator(), torch.Generator(), torch.zeros(3)
         self._wrist_off = se3.identity().double()
-        self.gripper = HandleGripper(self.model.exact, self.world.body, spec.physics)
+        self._sought = model.exact
+        self.gripper = self._gripper(spec.physics)
+
+    def _gripper(self, physics: PhysicsSettings) -> HandleGripper:
+        """What grasps the mug that is there where the one that is looked for would be."""
+        return HandleGripper(self.model.exact, self.world.body, physics, self._sought)
 
     def _world(self, body: Body, physics: PhysicsSettings) -> ForceSensingWorld:
         return ForceSensingWorld(body, self.shape, self.spec.height_m, self.settings.time_step_s, physics)
@@ -125,7 +133,19 @@ class HandleTask(SensedTask):
 
     def finish(self, grasp: Grasp) -> bool:
         """Grasp the mug where it is taken to stand, in a simulation of its own; whether it was lifted."""
-        return self.gripper.grasp(grasp.pose, self.world.world_T_object())
+        pose, physics, rougher = grasp.pose, self.spec.physics, 1.0
+        for fault in self._begun_faults():
+            if isinstance(fault, HandOff):  # by as much in the hand's frame, which is turned as the mug is
+                pose = torch.cat((pose[:2] - rotated(fault.aside()[:2].to(pose), pose[2]), pose[2:]))
+            elif isinstance(fault, Mass):
+                physics = replace(physics, mass_kg=fault.size * physics.mass_kg)
+            elif isinstance(fault, Friction):
+                rougher *= fault.size
+        gripper = self.gripper
+        if physics != self.spec.physics or rougher != 1.0:
+            gripper = self._gripper(physics)
+            gripper.model.geom_friction[:, 0] *= rougher
+        return gripper.grasp(pose, self.world.world_T_object())
 
     def _view(self) -> Observation:
         if "camera" in self.fused.sensors:

@@ -6,9 +6,13 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
+from rumi.sim.faults import parse_fault
+from rumi.tasks.grasp_table import Grasp
+from rumi.tasks.handle import build
 from rumi.tasks.handle.grasp import best_grasp, handle_odds
-from rumi.tasks.handle.gripper import HandleGripper
+from rumi.tasks.handle.gripper import HandleGripper, grasp_xml
 from rumi.tasks.handle.settings import HandleSettings, task_of
+from rumi.tasks.handle.simulated import HandleTask
 from sdf import se3
 from sdf.primitives import Sphere
 
@@ -32,6 +36,41 @@ def test_with_the_true_pose_every_grasp_lifts(gripper):
 def test_where_there_is_no_handle_nothing_is_lifted(gripper, yaw):
     true = torch.tensor([0.5, 0.0, 0.3], dtype=torch.float64)
     assert not gripper.grasp(true + torch.tensor([0.0, 0.0, yaw]), se3.from_planar(true))
+
+
+def test_of_a_mug_of_another_size_the_agent_knows_nothing(gripper, mug, tool, monkeypatch):
+    asked = []
+    monkeypatch.setattr(build, "handle_table", lambda own, **_: asked.append(own))
+    task, _ = build.build_handle(HandleSettings(), tool=tool, faults=[parse_fault("scale:20", steps=5)])
+    still = torch.zeros(3)
+    assert asked[0].shape.outer_radius == mug.exact.outer_radius
+    assert grasp_xml(asked[0].shape, asked[0].body, asked[0].physics, asked[0].settings) == grasp_xml(
+        gripper.shape, gripper.body, gripper.physics, gripper.settings
+    )
+    # the true mug is grasped as the other would be
+    assert task.gripper.shape.outer_radius == pytest.approx(1.2 * mug.exact.outer_radius)
+    assert (task.gripper.controls(still) == gripper.controls(still)).all()
+
+
+def test_a_hand_that_is_off_and_a_mug_that_changed_are_grasped_as_they_are(mug, tool, monkeypatch):
+    taken = []
+
+    def grasp(self, pose, _):
+        mass = float(self.model.body("object").mass[0])
+        taken.append((pose, mass, float(self.model.geom("floor").friction[0])))
+        return True
+
+    monkeypatch.setattr(HandleGripper, "grasp", grasp)
+    pose = torch.tensor([0.5, 0.0, 0.3], dtype=torch.float64)
+    for texts in ((), ("hand:6@1", "mass:2@1", "friction:3@1"), ("mass:2@2",)):
+        task = HandleTask(HandleSettings(), tool, mug, faults=[parse_fault(text, steps=5) for text in texts])
+        task.reset(0)
+        task.step(torch.zeros(3))
+        task.finish(Grasp(pose, 1.0))
+    plain, other, later = taken
+    assert torch.equal(plain[0], pose) and torch.equal(later[0], pose) and later[1:] == plain[1:]
+    assert float((other[0] - pose)[:2].norm()) == pytest.approx(0.006, abs=1e-6) and other[0][2] == pose[2]
+    assert other[1:] == pytest.approx((2.0 * plain[1], 3.0 * plain[2]))
 
 
 def test_only_mugs_have_handles(body):
