@@ -122,7 +122,7 @@ class World:
         self.data.time = 0.0
         self._mujoco.mj_forward(self.model, self.data)
         up = self.world_T_object()[2, :3]
-        tilt = math.degrees(math.acos(min(1.0, float(up @ standing))))
+        tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(up @ standing)))))
         if tilt > _STANDS_DEG:
             raise UsageError(
                 f"Expected the object to stand by itself, but it tipped by {tilt:.0f} degrees: say how it stands "

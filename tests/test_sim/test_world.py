@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
 from rumi.sim.bodies import pieces
 from rumi.sim.settings import PhysicsSettings
@@ -101,6 +102,15 @@ def test_reset_leaves_nothing_to_settle():
         # far below what the filter takes for a move, 0.1 mm and 1 mrad
         assert float(shift) < 1e-6
         assert float(turn) < 1e-5
+
+
+def test_an_object_that_turns_over_is_refused(monkeypatch):
+    """Also where its axis has become longer than 1 by rounding."""
+    world = World(SHAPE, GripperShape(), HEIGHT, 0.004)
+    ways = iter((1.0, -1.0 - 1e-12))
+    monkeypatch.setattr(world, "world_T_object", lambda: next(ways) * se3.identity().double())
+    with pytest.raises(UsageError, match="tipped by 180 degrees"):
+        world.reset(torch.tensor((0.15, 0.0, 0.0)), torch.tensor((0.4, 0.0, 0.3)))
 
 
 def test_instants_follow_the_commands():
