@@ -1,5 +1,6 @@
 """Guarded move: a motion that ends a little after its contact."""
 
+import math
 from collections.abc import Callable
 
 from jaxtyping import Float
@@ -29,4 +30,5 @@ class GuardedMove:
         if self._met is None:
             self._met = here
         gone = here - self._met
-        return float(gone[:-1].norm() + LEVER_M * gone[-1].abs()) >= self.most_m
+        turned = gone.new_tensor(math.remainder(float(gone[-1]), 2.0 * math.pi))  # a yaw may be told from -pi to pi
+        return float(gone[:-1].norm() + LEVER_M * turned.abs()) >= self.most_m

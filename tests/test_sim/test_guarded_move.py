@@ -118,6 +118,9 @@ def test_contact_that_ends_begins_the_way_anew():
     assert [over(index) for index in range(5)] == [False, False, False, False, True]
     turned = GuardedMove(0.006, lambda index: (torch.tensor([0.0, 0.07 * index]), True))
     assert [turned(index) for index in range(2)] == [False, True]
+    yaws = (3.14, -3.13, -3.05)  # past half a turn
+    over = GuardedMove(0.006, lambda index: (torch.tensor([0.0, yaws[index]]), True))
+    assert [over(index) for index in range(3)] == [False, False, True]
 
 
 @pytest.mark.parametrize("kind", [World, ForceSensingWorld, ArmWorld])
