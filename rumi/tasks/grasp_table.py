@@ -142,8 +142,8 @@ def best_grasp(poses: Float[Tensor, "N 3"], log_weights: Float[Tensor, "N"], tab
 def _local_means(
     tried: Float[Tensor, "C 3"], poses: Float[Tensor, "N 3"], weights: Float[Tensor, "N"], table: GraspTable
 ) -> Float[Tensor, "C 3"]:
-    """Mean of the poses about each candidate, those half a turn off turned back."""
-    apart, yaw = relative(tried[:, None], poses)
+    """Mean of the poses about each candidate, those a whole period off turned back."""
+    apart, yaw = relative(tried[:, None], poses, table.period)
     place = torch.cat((apart, yaw[..., None]), -1) / poses.new_tensor(table.ends)
     share = weights * torch.exp(-0.5 * (place / _CROWD).square().sum(-1))
     share = share / share.sum(-1, keepdim=True).clamp_min(1e-30)

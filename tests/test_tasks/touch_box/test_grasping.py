@@ -1,11 +1,12 @@
 """Where to grasp and how likely that succeeds."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
-from rumi.tasks.grasp_table import GraspTable, best_grasp, clearance_table, relative
+from rumi.tasks.grasp_table import GraspTable, _local_means, best_grasp, clearance_table, relative
 
 TABLE = clearance_table(0.03, 0.08, 0.08)
 
@@ -66,3 +67,6 @@ def test_the_mean_of_poses_half_a_turn_apart_is_one_of_them():
     found = best_grasp(poses, torch.zeros(2, dtype=torch.float64), TABLE)
     assert found.probability == pytest.approx(1.0)
     assert abs(float(found.pose[0])) < 0.003
+    # of an object that half a turn changes they are two
+    means = _local_means(poses, poses, pose(0.5, 0.5), replace(TABLE, period=2.0 * math.pi))
+    torch.testing.assert_close(means, poses)
