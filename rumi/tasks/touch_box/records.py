@@ -134,7 +134,7 @@ class TouchRun:
         turn = math.remainder(float(apart[2]), math.pi)
         return {
             "stopped_by": self.stopped_by,
-            "lifted": bool(self.lifted),
+            "lifted": self.lifted,
             "sure": self.end.sure,
             "actions": len(self.steps),
             "believed": round(grasp.probability, 4),

@@ -45,7 +45,8 @@ def test_it_finds_the_box_and_lifts_it():
 
 def test_it_gives_up_after_so_many_pokes_and_grasps_all_the_same():
     run = run_of(toucher(replace(SETTINGS, actions=1, threshold=1.0)), 2000)
-    assert len(run.steps) == 1 and run.stopped_by == "steps"
+    assert len(run.steps) == 1 and run.stopped_by == "steps" and run.as_dict()["lifted"] is run.lifted
+    assert replace(run, stopped_by="interrupted", lifted=None).as_dict()["lifted"] is None
 
 
 @pytest.mark.parametrize("method", ["entropy", "max-contact", "ml-observation"])
