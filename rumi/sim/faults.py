@@ -85,12 +85,11 @@ def chosen_faults(
     Raises:
         UsageError: there is no such fault, or not in this task; or as `parse_fault` has it.
     """
-    found = tuple(parse_fault(text, steps=steps, seed=seed) for text in texts)
     for text in texts:
         name = text.partition("@")[0].partition(":")[0]
         if name not in kinds:
             raise UsageError(f"Expected --fault of {task} to be one of {', '.join(kinds)}, got {text!r}")
-    return found
+    return tuple(parse_fault(text, steps=steps, seed=seed) for text in texts)
 
 
 def _number(text: str, part: str, what: str) -> float:
