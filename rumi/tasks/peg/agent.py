@@ -94,14 +94,13 @@ class PegAgent:
     def act(self, state: PegState) -> tuple[PegState, TimedPath | None]:
         """The next lane, an open-loop action that needs no thinking (time allocation, IV-B); then what tells most.
 
-        Raises:
-            RuntimeError: nothing was met on all lanes.
+        None where nothing was met on all lanes, or no motion is worth it.
         """
         tip, belief = state.record.felt.tip, state.record.belief
         if state.every is None:
             corners = lanes(self.settings)[1 + len(state.found.felt) :]
             if not len(corners):
-                raise RuntimeError("Nothing was met on the table: is the block on it, and are the lanes close enough?")
+                return state, None
             return state, TimedPath(torch.stack((tip, torch.cat((corners[0], tip[2:])))), state.now_s)
         chooser = replace(state.chooser, clock=SimulatedClock(state.now_s))
         with state.clock("plan"):

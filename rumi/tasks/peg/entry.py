@@ -138,9 +138,11 @@ PEG = _Peg()
 def summary(run: PegRun) -> list[str]:
     """A few lines on how a run ended."""
     ended: str = "not sure" if run.stopped_by == "steps" else run.stopped_by
-    if run.stopped_by == "nothing to do" and run.thoughts:
-        weighed = run.thoughts[-1].selection.evaluated
+    if run.stopped_by == "nothing to do":
+        weighed = run.thoughts[-1].selection.evaluated if run.thoughts else 0
         ended = "nothing more that a touch would tell" if weighed else "no time for any motion"
+        if run.aim is None:
+            ended = "nothing met on any lane"
     found = run.as_dict()
     touches = f"{found['touches']} touch{'es' if found['touches'] != 1 else ''}"
     lines = [f"{ended} after {touches}"]

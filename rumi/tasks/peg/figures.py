@@ -155,14 +155,14 @@ def draw_timeline(run: PegRun, ax: "Axes") -> "Axes":
     for felt in (*run.searched, *run.felt):
         if felt.kind != ContactKind.NOTHING:
             shape = "o" if felt.kind == ContactKind.TOUCH else "s"
-            row = 0 if felt.ended_s <= run.searched[-1].ended_s else 2
+            row = 0 if felt.ended_s <= run.search_s else 2
             ax.plot(felt.ended_s, row, marker=shape, color=style.CONTACT, ms=4, zorder=3)
-    _bar(ax, 3, run.felt[-1].ended_s if run.felt else run.searched[-1].ended_s, run.total_s, style.NLL)
+    _bar(ax, 3, run.felt[-1].ended_s if run.felt else run.search_s, run.total_s, style.NLL)
     thinking = sum(thought.ended_s - thought.begun_s for thought in run.thoughts)
-    rows = [f"search {run.searched[-1].ended_s:.0f} s", f"reasoning {thinking:.0f} s", f"motion {moved:.0f} s", "peg"]
+    rows = [f"search {run.search_s:.0f} s", f"reasoning {thinking:.0f} s", f"motion {moved:.0f} s", "peg"]
     ax.set_yticks(range(4), rows)
     ax.invert_yaxis()
-    ax.set_xlim(0, 1.02 * run.total_s)
+    ax.set_xlim(0, 1.02 * run.total_s or 1.0)
     ax.set_xlabel("time [s]")
     ax.set_axisbelow(True)
     ax.grid(axis="x", color=style.FAINT, lw=0.6)

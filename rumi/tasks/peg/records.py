@@ -140,6 +140,11 @@ class PegRun:
         return [record.felt for record in self.records[1 : lanes + 1]]
 
     @property
+    def search_s(self) -> float:
+        """When the first stage ended; 0 where it never began."""
+        return self.searched[-1].ended_s if self.searched else 0.0
+
+    @property
     def felt(self) -> list[Felt]:
         """What each decision led to."""
         return [record.felt for record in self.records[len(self.searched) + 1 :]]
@@ -207,7 +212,7 @@ class PegRun:
             "misses": sum(felt.kind == ContactKind.NOTHING for felt in self.felt),
             "tops": sum(felt.kind not in (ContactKind.NOTHING, ContactKind.TOUCH) for felt in self.felt),
             "total_s": self.total_s,
-            "search_s": self.searched[-1].ended_s if self.searched else 0.0,
+            "search_s": self.search_s,
             "thinking_s": thinking,
             "contact_s": times,
             "evaluated": sum(thought.selection.evaluated for thought in self.thoughts),

@@ -17,9 +17,11 @@ from rumi.runs.jsonlines import read_lines
 from rumi.tasks.peg import selection as refine
 from rumi.tasks.peg.agent import build_peg
 from rumi.tasks.peg.entry import summary
-from rumi.tasks.peg.figures import clusters
+from rumi.tasks.peg.figures import clusters, draw_run
+from rumi.tasks.peg.search import lanes
 from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.settings import PegSettings
+from rumi.tasks.peg.simulated import PegTask
 from sensors.touch.rectangle_touch import RectangleTouches
 
 
@@ -73,6 +75,25 @@ def test_it_ends_where_nothing_tells_anything(monkeypatch):
     run = run_of(QUICK, 0)
     assert run.stopped_by == "nothing to do" and run.thoughts[-1].selection.evaluated > 0
     assert summary(run)[0].startswith("nothing more that a touch would tell after 1 touch, ")
+
+
+def test_a_run_that_ended_before_its_first_motion_is_drawn(tmp_path):
+    run = loop.run(*build_peg(QUICK), seed=0, steps=0)
+    assert not run.searched and run.as_dict()["search_s"] == 0.0
+    assert [path.name for path in draw_run(run, tmp_path)] == ["contacts.png", "timeline.png"]
+
+
+def test_it_ends_where_no_lane_meets_the_block():
+    class Elsewhere(PegTask):
+        def reset(self, seed):
+            result = super().reset(seed)
+            self.cell.truth = self.cell.truth + 5.0
+            return result
+
+    run = loop.run(Elsewhere(QUICK), build_peg(QUICK).agent, seed=0)
+    assert run.stopped_by == "nothing to do" and run.inserted is None and run.why_not == "the block was not met"
+    assert len(run.searched) == len(lanes(QUICK)) - 1
+    assert summary(run)[0] == "nothing met on any lane after 0 touches"
 
 
 def test_the_papers_stop():
