@@ -16,7 +16,7 @@ _GUARD_M, _GUARD_SEEN_M, _GUARD_IN_SPACE_M = 0.015, 0.03, 0.008
 
 @dataclass(frozen=True)
 class SimSettings(Checked, refusal=UsageError):
-    """Settings of the simulator; the defaults are quick and close to `accurate()`.
+    """Settings of the simulator; the defaults are quick.
 
     Attributes:
         time_step_s: of the physics.

@@ -152,7 +152,7 @@ class HandleAgent:
         rummager, settings, reading, last = self.rummager, self.settings, result.reading, state.record
         if not isinstance(reading, ContactReading) or reading.object_motion is None:
             raise UsageError(
-                f"Expected readings of a fused run, with the object's motion, got a {type(reading).__name__}"
+                f"Expected readings of the handle task, with the object's motion, got a {type(reading).__name__}"
             )
         renewal, clock, generator = rummager.renewal, state.clock, state.random["renewal"]
         with clock("belief"):

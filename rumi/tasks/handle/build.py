@@ -1,4 +1,4 @@
-"""What a fused run is made of."""
+"""What a run of the handle task is made of."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Settings of the fused run: which sensors, their noise, how far belief and thinking go."""
+"""Settings of the handle task: which sensors, their noise, how far belief and thinking go."""
 
 import math
 from dataclasses import dataclass, field
@@ -71,7 +71,7 @@ class WristSettings:
 
 @dataclass(frozen=True)
 class HandleSettings(Checked, refusal=UsageError):
-    """Settings of `rumi run fused`.
+    """Settings of `rumi run handle`.
 
     Attributes:
         sensors: whose evidence the belief takes in: all, or some of camera, bubbles, wrench and torques, with commas
