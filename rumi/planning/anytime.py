@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import torch
@@ -60,7 +59,7 @@ class Selection(Generic[A]):
 
     Attributes:
         candidate: what to do; None to stay.
-        gain: expected of it, nats; 0 for staying, and for an open-loop action that there was no time to evaluate.
+        gain: expected of it, nats; 0 for staying.
         generated: candidates that were made.
         skipped: of them, those that there was no time for.
         doublings: how often the time was doubled, since there was nothing to do in it.
@@ -87,7 +86,7 @@ class Selection(Generic[A]):
 
     @property
     def evaluated(self) -> int:
-        """Candidates that were evaluated, an open-loop one included."""
+        """Candidates that were evaluated."""
         return len(self.history)
 
 
@@ -98,7 +97,6 @@ def select(
     *,
     evaluation: DurationModel,
     generation: DurationModel | None = None,
-    open_loop: Candidate[A] | None = None,
     doublings: int = 3,
     now: Now = time.perf_counter,
 ) -> Selection[A]:
@@ -121,8 +119,6 @@ def select(
         t_max_s: seconds for thinking and motion.
         evaluation: how long `gain` takes.
         generation: how long the next candidate takes to come; None starts on one whenever there is any time.
-        open_loop: what to do unless something better is found in time, however long it takes; its own gain is worked
-            out first, if there is time for that.
         doublings: of the time, at most.
         now: the clock.
     """
@@ -130,10 +126,8 @@ def select(
         raise ValueError(f"Expected t_max_s to be 0 or more, got {t_max_s}")
     if doublings < 0:
         raise ValueError(f"Expected doublings to be 0 or more, got {doublings}")
-    deciding = _Decision(gain, evaluation, open_loop, t_max_s, now)
+    deciding = _Decision(gain, evaluation, t_max_s, now)
     source, making = iter(candidates), 0.0 if generation is None else generation.bound()
-    if open_loop is not None and deciding.has_time_for(open_loop):
-        deciding.evaluate(open_loop)
     waiting: list[Candidate[A]] = []
     generated = tried = done = 0
     while True:
@@ -167,15 +161,14 @@ class _Decision(Generic[A]):
         self,
         gain: Callable[[A], float],
         evaluation: DurationModel,
-        open_loop: Candidate[A] | None,
         t_max_s: float,
         now: Now,
     ) -> None:
         self._gain, self._evaluation, self._now = gain, evaluation, now
         self._begun, self._t_max_s = now(), t_max_s
         self._deadline = self._begun + t_max_s
-        self._open_loop = open_loop
-        self.best, self.value = open_loop, 0.0
+        self.best: Candidate[A] | None = None
+        self.value = 0.0
         self._history: list[Evaluated] = []
         self._measured: list[tuple[float, float]] = []
 
@@ -199,7 +192,7 @@ class _Decision(Generic[A]):
         ended = self._now()
         if math.isnan(value):
             raise ValueError("Expected the gain of an action to be a number, got nan")
-        taken = candidate is self._open_loop or value > self.value
+        taken = value > self.value
         if taken:
             self.best, self.value = candidate, value
         self._measured.append((candidate.work, ended - begun))
@@ -238,20 +231,15 @@ def _quickest(waiting: list[Candidate[A]], evaluation: DurationModel) -> list[Ca
 
 
 def in_descending_posterior(
-    log_density: Float[Tensor, "N"], of_particle: Callable[[int], Iterable[Candidate[A]]], most: int | None = None
+    log_density: Float[Tensor, "N"], of_particle: Callable[[int], Iterable[Candidate[A]]]
 ) -> Iterator[Candidate[A]]:
     """Candidates of the likeliest particle, then of the next one, made only when asked for (III-C).
 
     Args:
         log_density: of the particles; those of no weight have no candidates. Equal ones keep their order.
         of_particle: candidates of a particle by index.
-        most: candidates in all; None for no limit.
     """
-
-    def each() -> Iterator[Candidate[A]]:
-        for index in torch.argsort(log_density, descending=True, stable=True).tolist():
-            if log_density[index] == -torch.inf:
-                return
-            yield from of_particle(index)
-
-    return islice(each(), most)
+    for index in torch.argsort(log_density, descending=True, stable=True).tolist():
+        if log_density[index] == -torch.inf:
+            return
+        yield from of_particle(index)

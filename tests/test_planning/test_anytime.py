@@ -139,30 +139,6 @@ def test_making_candidates_counts() -> None:
     assert unaware.late_s == pytest.approx(0.4)
 
 
-def test_an_open_loop_action_is_there_from_the_start() -> None:
-    own = Candidate(-1, 5.0)
-    pairs = [(1.0, 0.3), (1.0, 0.7)]
-    gains = {-1: 0.5, 0: 0.3, 1: 0.7}
-    clock = SimulatedClock()
-
-    def gain(index: int) -> float:
-        clock.advance(1.0)
-        return gains[index]
-
-    candidates = [Candidate(index, execution) for index, (execution, _) in enumerate(pairs)]
-    made = select(candidates, gain, 20.0, evaluation=ONE, open_loop=own, now=clock)
-    assert made.candidate is candidates[1]
-    assert (made.evaluated, made.generated, made.skipped) == (3, 2, 0)
-    brief = select(candidates[:1], gain, 20.0, evaluation=ONE, open_loop=own, now=clock)
-    assert brief.candidate is own
-    assert brief.gain == 0.5
-    # no time to think: it is done all the same, and no time is doubled
-    at_once = select(candidates, gain, 2.0, evaluation=ONE, open_loop=own, now=clock)
-    assert at_once.candidate is own
-    assert (at_once.gain, at_once.evaluated, at_once.generated, at_once.doublings) == (0.0, 0, 0, 0)
-    assert at_once.late_s == pytest.approx(3.0)
-
-
 def test_candidates_of_different_work() -> None:
     clock = SimulatedClock()
     model = DurationModel(0.5, 0.1)
@@ -241,7 +217,6 @@ def test_likelier_particles_come_first_and_lazily() -> None:
     assert [next(source).action for _ in range(3)] == [(1, 0), (1, 1), (2, 0)]
     assert asked == [1, 2]
     assert [candidate.action[0] for candidate in source] == [2, 0, 0, 4, 4]
-    assert len(list(in_descending_posterior(log_weights, of_particle, most=3))) == 3
 
 
 def test_refuses_what_has_no_meaning() -> None:
