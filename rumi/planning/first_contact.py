@@ -18,6 +18,9 @@ from sdf.posed import posed_distance
 GROUP = 16
 """Points of the tool that lie near each other, as many as the compiled version leaves out at a time."""
 
+NEAR_M = 0.001
+"""Distance that counts as contact."""
+
 LET_GO_M = 0.0005
 """By which the tool may go deeper into what it touches at first, and still lets go of it."""
 
@@ -89,10 +92,8 @@ def first_contacts(
     ways: Float[Tensor, "K S 4"],
     steps: Int[Tensor, "K"],
     tool: TouchingSurface,
-    *,
-    near_m: float = 0.001,
 ) -> FirstContacts:
-    """Where each of K ways first comes as near to an object as `near_m`, for each of N poses of it.
+    """Where each of K ways first comes as near to an object as `NEAR_M`, for each of N poses of it.
 
     A way's first step is where the tool is. What it touches there it may let go of: that is a contact, of step 0, where
     a later step is deeper in it than those before.
@@ -103,33 +104,32 @@ def first_contacts(
         ways: (x, y, z, yaw) of the level tool at each step.
         steps: how many of them each way has.
         tool: its surface.
-        near_m: distance that counts as contact, metres.
     """
     version = backend.dispatch("first_contacts", world_T_object, ways, *sdf.tensors())
-    found: FirstContacts = version(sdf, world_T_object, ways, steps, tool, near_m)
+    found: FirstContacts = version(sdf, world_T_object, ways, steps, tool)
     return found
 
 
 @backend.register("first_contacts")
 def _first_contacts(
-    sdf: SDF, world_T_object: Tensor, ways: Tensor, steps: Tensor, tool: TouchingSurface, near_m: float
+    sdf: SDF, world_T_object: Tensor, ways: Tensor, steps: Tensor, tool: TouchingSurface
 ) -> FirstContacts:
     poses = len(world_T_object)
     step = steps[:, None].repeat(1, poses)
     point = torch.zeros_like(step)
     for row, way in enumerate(ways):
-        floor = torch.full((poses,), near_m).to(way)
+        floor = torch.full((poses,), NEAR_M).to(way)
         for first, part in enumerate(way[: int(steps[row])].split(1)):
             cos, sin = part[:, 3].cos(), part[:, 3].sin()
             x, y, z = tool.points.to(part).unbind(-1)
             placed = torch.stack((cos * x - sin * y, sin * x + cos * y, z), -1) + part[:, :3]
             open_yet = (step[row] == steps[row]).nonzero()[:, 0]
             deepest, which = posed_distance(sdf, world_T_object[open_yet], placed).min(-1)
-            deepest = deepest.clamp_max(near_m)
+            deepest = deepest.clamp_max(NEAR_M)
             if first == 0:
                 floor = deepest
             before = floor[open_yet]
-            held = before < near_m
+            held = before < NEAR_M
             met = deepest < torch.where(held, before - LET_GO_M, before)
             rows = open_yet[met]
             step[row, rows] = torch.where(held[met], 0, first)
@@ -140,16 +140,16 @@ def _first_contacts(
 
 @backend.register("first_contacts", "numba", compiled.supports)
 def _first_contacts_numba(
-    sdf: SDF, world_T_object: Tensor, ways: Tensor, steps: Tensor, tool: TouchingSurface, near_m: float
+    sdf: SDF, world_T_object: Tensor, ways: Tensor, steps: Tensor, tool: TouchingSurface
 ) -> FirstContacts:
     if not takes(sdf, world_T_object, ways):
-        return _first_contacts(sdf, world_T_object, ways, steps, tool, near_m)
+        return _first_contacts(sdf, world_T_object, ways, steps, tool)
     from rumi.planning.first_contact_numba import first_contacts as kernel
     from sdf.grid_numba import grid_arguments
 
     shape = len(ways), len(world_T_object)
     step, point, looked = (torch.zeros(shape, dtype=torch.int32) for _ in range(3))
-    numbers = torch.tensor((near_m, tool.radius_m, LET_GO_M))
+    numbers = torch.tensor((NEAR_M, tool.radius_m, LET_GO_M))
     kernel(
         ways.float().contiguous().numpy(),
         steps.to(torch.int32).contiguous().numpy(),

@@ -145,9 +145,9 @@ class Tool(nn.Module):
         return boxed if self.reach is None else boxed & self.reach.reachable(q)
 
     def free_step(
-        self, q: Float[Tensor, "*#b Q"], control: Float[Tensor, "*#b Q"], fraction: float = 1.0
+        self, q: Float[Tensor, "*#b Q"], control: Float[Tensor, "*#b Q"]
     ) -> tuple[Float[Tensor, "*#b Q"], Float[Tensor, "*#b"]]:
-        """Where a part of a control takes the tool if nothing is in its way.
+        """Where a control takes the tool if nothing is in its way.
 
         The control is (dx, dy, dyaw), in space (dx, dy, dz, dyaw), in [-1, 1], along the world's axes. A step that
         would leave the bounds stops at them. A step that the arm cannot reach is carried out up to the limit; the rest
@@ -158,12 +158,11 @@ class Tool(nn.Module):
         Args:
             q: (*b, Q), configuration now.
             control: (*b, Q).
-            fraction: part of the control to carry out in this step.
 
         Returns:
             the configuration (*b, Q) after the step and the refused part of the translation (*b), metres.
         """
-        wanted = q + control * (self.scale * fraction)
+        wanted = q + control * self.scale
         q = q.expand_as(wanted)
         residual = None if self.reach is None else self.reach.residual(q)
         reached, _ = limited_step(self.bounds, self.reach, q, wanted, residual)

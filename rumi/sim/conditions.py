@@ -78,9 +78,9 @@ def under(settings: SimSettings, conditions: str) -> SimSettings:
     return _with(settings, bundle(conditions))
 
 
-def image_errors(kind: SensorKind, conditions: str = "lab") -> SensorSettings:
-    """Sensors of a kind with the errors that their images have in a condition."""
-    return under(SimSettings(sensors=SensorSettings(kind)), conditions).sensors
+def image_errors(kind: SensorKind) -> SensorSettings:
+    """Sensors of a kind with the errors that their images have under `lab`."""
+    return under(SimSettings(sensors=SensorSettings(kind)), "lab").sensors
 
 
 def put_back(settings: SimSettings, group: str) -> SimSettings:

@@ -71,8 +71,8 @@ def reachable_starts(tool, count, seed=1):
 def test_free_motion_is_the_scaled_control(free):
     q = torch.tensor([0.3, 0.0, 0.4], dtype=torch.float64)
     control = torch.tensor([0.5, -1.0, 1.0], dtype=torch.float64)
-    reached, refused = free.free_step(q, control, 0.5)
-    torch.testing.assert_close(reached, q + 0.5 * control * torch.tensor([0.08, 0.08, 0.5], dtype=torch.float64))
+    reached, refused = free.free_step(q, control)
+    torch.testing.assert_close(reached, q + control * torch.tensor([0.08, 0.08, 0.5], dtype=torch.float64))
     assert float(refused) == 0.0
 
 
@@ -264,8 +264,8 @@ def test_versions_agree(tool):
 
 def test_free_motion_and_bounds_in_space(flying):
     q = torch.tensor([0.3, 0.0, 0.06, 0.4], dtype=torch.float64)
-    reached, refused = flying.free_step(q, torch.tensor([0.5, -1.0, 0.5, 1.0], dtype=torch.float64), 0.5)
-    torch.testing.assert_close(reached, q + torch.tensor([0.02, -0.04, 0.02, 0.25], dtype=torch.float64))
+    reached, refused = flying.free_step(q, torch.tensor([0.5, -1.0, 0.5, 1.0], dtype=torch.float64))
+    torch.testing.assert_close(reached, q + torch.tensor([0.04, -0.08, 0.04, 0.5], dtype=torch.float64))
     assert float(refused) == 0.0
     down, refused = flying.free_step(q, torch.tensor([0.0, 0.0, -1.0, 0.0], dtype=torch.float64))
     assert float(down[2]) == pytest.approx(0.03) and float(refused) == pytest.approx(0.05)

@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import tyro
 from annotated_types import Ge, Interval
@@ -130,10 +130,6 @@ class PegSettings(Checked, refusal=UsageError):
     def limits(self) -> SpeedLimits:
         """Of all motion."""
         return SpeedLimits(self.speed_m_s, self.acceleration_m_s2)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
 
 
 def _check_geometry(settings: PegSettings) -> None:

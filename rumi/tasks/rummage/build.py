@@ -1,7 +1,7 @@
 """From settings to the parts of a run."""
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -60,15 +60,12 @@ from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
 
 
-def build(
-    settings: Settings, *, cache_dir: Path | None = None, progress: Callable[[str, float], None] | None = None
-) -> Parts[Task, Rummager]:
+def build(settings: Settings, *, cache_dir: Path | None = None) -> Parts[Task, Rummager]:
     """Make the parts of a run.
 
     Args:
         settings: of the run.
         cache_dir: folder that keeps what takes seconds to work out; None keeps nothing.
-        progress: called with what is being done for a mesh and how much of it is done, from 0 to 1.
 
     Raises:
         UsageError: there is no such task or device, or the object cannot be used or does not suit the task.
@@ -77,7 +74,7 @@ def build(
     check_pushing(spec, settings)
     if settings.steps is not None:
         spec = replace(spec, steps=settings.steps)
-    spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
+    spec, model = with_object(spec, settings.object, cache_dir=cache_dir)
     spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
     faults = faults_of(spec, settings)

@@ -76,11 +76,7 @@ class ObjectSettings(Checked, refusal=UsageError):
 
 
 def with_object(
-    spec: "TaskSpec",
-    settings: ObjectSettings,
-    *,
-    cache_dir: Path | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    spec: "TaskSpec", settings: ObjectSettings, *, cache_dir: Path | None = None
 ) -> "tuple[TaskSpec, ObjectModel]":
     """A task with the object that is asked for, and the object's model.
 
@@ -88,7 +84,6 @@ def with_object(
         spec: the task.
         settings: of the object.
         cache_dir: folder that keeps tables of distances; None keeps nothing.
-        progress: called with what is done and how much of it, from 0 to 1.
 
     Raises:
         UsageError: the mesh cannot be used, or does not suit the task.
@@ -111,7 +106,7 @@ def with_object(
     if settings.mesh is None:
         return spec, spec.object_factory()
     fits = functools.partial(_check_fits, spec)
-    model = own_model(settings, fits=fits, cache_dir=cache_dir, progress=progress)
+    model = own_model(settings, fits=fits, cache_dir=cache_dir)
     return replace(spec, object_factory=lambda: model), model
 
 
@@ -120,7 +115,6 @@ def own_model(
     *,
     fits: "Callable[[MeshSDF, Tensor], None] | None" = None,
     cache_dir: Path | None = None,
-    progress: Callable[[str, float], None] | None = None,
 ) -> "ObjectModel":
     """The model of a mesh, in a frame in which it stands upright.
 
@@ -131,7 +125,6 @@ def own_model(
         settings: of the object; its mesh must be given.
         fits: looks at the upright object and object_T_mesh before what takes time, and raises if it does not suit it.
         cache_dir: folder that keeps tables of distances; None keeps nothing.
-        progress: called with what is done and how much of it, from 0 to 1.
 
     Raises:
         UsageError: the mesh cannot be used.
@@ -157,7 +150,6 @@ def own_model(
             spacing=settings.spacing_m,
             symmetries=_declared(settings.symmetry, exact, object_T_mesh),
             cache_dir=cache_dir,
-            progress=progress,
         )
     except MeshError as error:
         raise UsageError(str(error)) from error

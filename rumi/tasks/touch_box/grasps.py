@@ -48,14 +48,13 @@ def truths(task: TouchTask, count: int) -> list[BoxTruth]:
     return [BoxTruth(torch.zeros(3, dtype=torch.float64), *row) for row in drawn]
 
 
-def lifted(robot: GripperRobot, boxes: Float[Tensor, "B 3"], which: list[BoxTruth], *, threads: int = 1) -> Tensor:
+def lifted(robot: GripperRobot, boxes: Float[Tensor, "B 3"], which: list[BoxTruth]) -> Tensor:
     """Whether boxes at poses are lifted by a grasp that takes them to stand at the origin.
 
     Args:
         robot: that grasps.
         boxes: (x, y, yaw), metres and radians.
         which: mass and friction, that the boxes have in turn.
-        threads: that simulate at once.
     """
     from mujoco import rollout
 
@@ -74,8 +73,8 @@ def lifted(robot: GripperRobot, boxes: Float[Tensor, "B 3"], which: list[BoxTrut
         model = mujoco.MjModel.from_xml_string(scene_xml(robot.task, robot.physics, grasping=True))
         set_truth(mujoco, model, robot.task, truth)
         rows = np.arange(index, len(boxes), len(which))
-        data = [mujoco.MjData(model) for _ in range(max(1, threads))]
-        with rollout.Rollout(nthread=threads if threads > 1 else 0) as engine:
+        data = [mujoco.MjData(model)]
+        with rollout.Rollout(nthread=0) as engine:
             for first in range(0, len(rows), _ROWS):
                 part = rows[first : first + _ROWS]
                 found, _ = engine.rollout(model, data, states[part], controls[None])

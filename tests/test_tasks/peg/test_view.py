@@ -1,6 +1,6 @@
 """What a viewer shows of a peg run."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 import torch
@@ -19,7 +19,7 @@ QUICK = PegSettings(particles=200, search_particles=600, point_m=0.001, normal_d
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "run"
-    with RunRecorder(folder, {"task": "peg", "seed": 1, "peg": QUICK.as_dict()}) as recorder:
+    with RunRecorder(folder, {"task": "peg", "seed": 1, "peg": asdict(QUICK)}) as recorder:
         recorder.finish(loop.run(*build_peg(QUICK), seed=1, on_step=recorder))
     return load_run(folder)
 

@@ -104,7 +104,7 @@ def told(monkeypatch):
     """Floors of the grasps that were simulated, without simulating them."""
     asked = []
 
-    def lifted(robot, boxes, which, threads=1):
+    def lifted(robot, boxes, which):
         asked.append([one.floor_friction for one in which])
         return torch.ones(len(boxes))
 
