@@ -2,20 +2,16 @@
 
 import math
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import torch
 
 from rumi.agent import StopReason
 from rumi.belief.motion import Motion
-from rumi.belief.pose_filter import PoseFilter
-from rumi.information.stopping import StopEvidence, StopSettings, shortfalls
-from rumi.planning.policy import Policy
+from rumi.information.stopping import StopEvidence, shortfalls
 from rumi.records import StepRecord
 from rumi.registration.pose_summary import PoseSummary
-from rumi.robot.tool import Tool
+from rumi.tasks.rummage.parts import RummagerParts
 from sdf import se3
-from sdf.object_model import ObjectModel
 from sensors.semantics import Semantics
 
 _TAKEN: dict[Motion, str] = {
@@ -47,31 +43,7 @@ _TOLD = 0.05  # weight of a mode that counts as a rival
 _LEVEL_M = 0.02  # above and below a level tool, that it touches
 
 
-@runtime_checkable
-class Answerer(Protocol):
-    """The parts of a `Rummager` that its answer tells of."""
-
-    @property
-    def model(self) -> ObjectModel: ...  # noqa: D102
-    @property
-    def filter(self) -> PoseFilter: ...  # noqa: D102
-    @property
-    def policy(self) -> Policy: ...  # noqa: D102
-    @property
-    def tool(self) -> Tool: ...  # noqa: D102
-    @property
-    def stop_rule(self) -> StopSettings: ...  # noqa: D102
-    @property
-    def sensors(self) -> str: ...  # noqa: D102
-    @property
-    def conditions(self) -> str: ...  # noqa: D102
-    @property
-    def looks_again(self) -> bool: ...  # noqa: D102
-    @property
-    def senses_motion(self) -> bool: ...  # noqa: D102
-
-
-def relies_on(rummager: Answerer) -> str:
+def relies_on(rummager: RummagerParts) -> str:
     """What a run takes for granted, in a line."""
     motion = rummager.filter.settings.motion
     moved = "measured" if motion == "measured" else f"not measured, {_taken(rummager)}"
@@ -82,7 +54,7 @@ def relies_on(rummager: Answerer) -> str:
     return known + (f"; conditions: {rummager.conditions}" if rummager.conditions else "")
 
 
-def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
+def warnings(rummager: RummagerParts, history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
     """What was not measured and can make a belief sure and wrong, from settings and from what came."""
     motion = rummager.filter.settings.motion
     missing = [str(record.step) for record in history[1:] if record.reading.object_motion is None]
@@ -106,7 +78,7 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
     )
 
 
-def _taken(rummager: Answerer) -> str:
+def _taken(rummager: RummagerParts) -> str:
     """How the motion comes about that is not measured."""
     motion = rummager.filter.settings.motion
     return _IN_SPACE if motion == "trajectory" and rummager.tool.spatial else _TAKEN[motion]
@@ -120,7 +92,7 @@ def _seen_again(history: Sequence[StepRecord]) -> bool:
 
 
 def why_not(
-    rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_by: StopReason, doubt: str | None = None
+    rummager: RummagerParts, record: StepRecord, pose: PoseSummary, stopped_by: StopReason, doubt: str | None = None
 ) -> str | None:
     """Why a belief is not sure, by the parts of its stopping rule or else by a doubt; None where it is."""
     if stopped_by == "sure":
@@ -163,7 +135,7 @@ def why_not(
     )
 
 
-def _rivals(rummager: Answerer, record: StepRecord, pose: PoseSummary) -> str:
+def _rivals(rummager: RummagerParts, record: StepRecord, pose: PoseSummary) -> str:
     """Which poses explain the observations, how far they are apart, and what would tell the first two apart."""
     rivals = [mode for mode in pose.modes if mode.weight >= _TOLD]
     first, second = (mode.world_T_object for mode in rivals[:2])
@@ -188,7 +160,7 @@ def _rivals(rummager: Answerer, record: StepRecord, pose: PoseSummary) -> str:
     )
 
 
-def _pushed_by(rummager: Answerer) -> str:
+def _pushed_by(rummager: RummagerParts) -> str:
     """The planner's push model, as far as it plans by one."""
     name = getattr(getattr(rummager.policy, "settings", None), "push_model", None)
     if name != "auto":

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -17,29 +16,14 @@ from rumi.metrics.pose_error import pose_error
 from rumi.planning.policy import Plan
 from rumi.records import RunResult, StepRecord
 from rumi.task import StepResult
-from rumi.tasks.rummage.answer import Answerer, relies_on, warnings, why_not
+from rumi.tasks.rummage.answer import relies_on, warnings, why_not
+from rumi.tasks.rummage.parts import RummagerParts
 from rumi.tasks.rummage.retreat import holds
 from sensors.observation import Observation
 
 
-@runtime_checkable
-class Evaluated(Answerer, Protocol):
-    """The parts of a `Rummager` by which its steps are measured."""
-
-    @property
-    def nll_threshold(self) -> float: ...  # noqa: D102
-    @property
-    def position_tolerance_m(self) -> float: ...  # noqa: D102
-    @property
-    def rotation_tolerance_rad(self) -> float: ...  # noqa: D102
-    @property
-    def agreement_points(self) -> int: ...  # noqa: D102
-    @property
-    def retreats(self) -> bool: ...  # noqa: D102
-
-
 def evaluate_step(
-    rummager: Evaluated,
+    rummager: RummagerParts,
     clock: Clock,
     history: Sequence[StepRecord],
     result: StepResult,
@@ -90,7 +74,7 @@ def evaluate_step(
     )
 
 
-def _agreement(rummager: Evaluated, last: StepRecord | None, belief: PoseBelief, every: int) -> tuple[float, float]:
+def _agreement(rummager: RummagerParts, last: StepRecord | None, belief: PoseBelief, every: int) -> tuple[float, float]:
     """Expected nll and APC, each particle's by one of so many points.
 
     Those of the last step where the particles and their weights are still the same, and they are not to be more exact.
@@ -109,7 +93,7 @@ def _agreement(rummager: Evaluated, last: StepRecord | None, belief: PoseBelief,
 
 
 def summarise(
-    rummager: Evaluated, history: Sequence[StepRecord], stopped_by: StopReason, doubt: str | None = None
+    rummager: RummagerParts, history: Sequence[StepRecord], stopped_by: StopReason, doubt: str | None = None
 ) -> RunResult:
     """How the run ended, from its records, and what speaks against being sure."""
     records, last = history, history[-1]
@@ -154,7 +138,7 @@ def summarise(
     )
 
 
-def _wrong_by(rummager: Evaluated, nll: float, errors: tuple[float, float]) -> str | None:
+def _wrong_by(rummager: RummagerParts, nll: float, errors: tuple[float, float]) -> str | None:
     """What is not within the task's tolerances; None where all is."""
     metres, radians = errors
     said = (

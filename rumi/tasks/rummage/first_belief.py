@@ -1,35 +1,18 @@
 """First belief: of a first view the poses that fit it, without one the prior (RUMI, Alg 1, lines 1-3)."""
 
-from typing import Protocol, runtime_checkable
-
 import torch
 
-from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
+from rumi.belief.initialise import initialise, view_starts
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import prior_belief
-from sdf.object_model import ObjectModel
+from rumi.tasks.rummage.parts import RummagerParts
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
 
-@runtime_checkable
-class Beginning(Protocol):
-    """The parts of a `Rummager` by which it begins."""
-
-    @property
-    def model(self) -> ObjectModel: ...  # noqa: D102
-    @property
-    def filter(self) -> PoseFilter: ...  # noqa: D102
-    @property
-    def initialise(self) -> InitialiseSettings: ...  # noqa: D102
-    @property
-    def height_m(self) -> float: ...  # noqa: D102
-
-
 def first_belief(
-    rummager: Beginning, reading: Reading, *, generator: torch.Generator
+    rummager: RummagerParts, reading: Reading, *, generator: torch.Generator
 ) -> tuple[PoseBelief, Observation]:
     """The belief and the memory after the first view, or without one from the prior (Alg 1, lines 1-3)."""
     points = reading.observation.points
