@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
+from rumi.robot.robot_file import read_robot
 from rumi.robot.tool_shape import border_points
 from rumi.robot.urdf import UrdfBody
 from rumi.seeding import generator
@@ -64,7 +65,7 @@ class ArmCollision:
         """
         try:
             body = UrdfBody.load(robot, packages=packages)
-        except (UsageError, OSError, ImportError) as error:
+        except (UsageError, ImportError) as error:
             return cls(f"neither self-collision nor the floor is checked: {error}")
         shapes = body.body.links
         points = [border_points(shape, max(0.01, shape.diagonal / 12.0)).float() for shape in shapes]
@@ -133,8 +134,7 @@ def _limits(body: UrdfBody, joints: Sequence[str]) -> tuple[Tensor, Tensor]:
 
 def _groups(robot: str | Path) -> set[tuple[str, str]]:
     """Pairs of links that are one body or joined by one joint, both ways round."""
-    text = str(robot) if str(robot).lstrip().startswith("<") else Path(robot).read_text(encoding="utf-8")
-    root = ElementTree.fromstring(text)
+    root = ElementTree.fromstring(read_robot(robot)[0])
     body = {str(link.get("name")): str(link.get("name")) for link in root.findall("link")}
     joined: set[tuple[str, str]] = set()
     ends = []

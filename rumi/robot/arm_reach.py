@@ -18,6 +18,7 @@ from rumi.robot.arm import Arm
 from rumi.robot.arm_collision import ArmCollision
 from rumi.robot.reach import Reach
 from rumi.robot.reach_table import ReachSettings, ReachTable
+from rumi.robot.robot_file import read_robot
 from rumi.seeding import generator
 from sdf import se3
 from sdf.bounds import Checked, Count, Positive
@@ -115,7 +116,7 @@ class ArmReach(Reach):
             UsageError: it is no URDF, has no such tip, or joints that cannot be.
         """
         settings = settings or ArmReachSettings()
-        text = str(robot) if str(robot).lstrip().startswith("<") else _read(Path(robot))
+        text, _ = read_robot(robot)
         arm = Arm(text, tip)
         pose = base if isinstance(base, Tensor) else se3.from_planar(torch.tensor(base, dtype=torch.float64))
         if pose.shape != (4, 4):
@@ -224,13 +225,6 @@ class ArmReach(Reach):
             return planar
         height = points_w[..., None, 2:].expand(*planar.shape[:-1], 1)
         return torch.cat((planar[..., :2], height, planar[..., 2:]), -1)
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"Cannot read the robot {path}: {error}") from error
 
 
 def _goals(

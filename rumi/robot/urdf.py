@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
+from rumi.robot.robot_file import read_robot
 from sdf import se3
 from sdf.base import SDF
 from sdf.extras import optional
@@ -83,9 +84,7 @@ class UrdfBody:
             ModuleNotFoundError: pytorch-kinematics is not installed.
         """
         pytorch_kinematics = optional("pytorch_kinematics", "A robot's chain")
-        given = str(robot)
-        folder = Path() if given.lstrip().startswith("<") else Path(robot).parent
-        text = given if given.lstrip().startswith("<") else Path(robot).read_text()
+        text, folder = read_robot(robot)
         try:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
@@ -94,7 +93,7 @@ class UrdfBody:
         owners: list[str] = []
         for link in root.iter("link"):
             for collision in link.findall("collision"):
-                links.append(_shape(collision, folder, packages or {}))
+                links.append(_shape(collision, folder or Path(), packages or {}))
                 owners.append(str(link.get("name")))
         if not links:
             raise UsageError("Expected collision shapes in the URDF, got none: the robot's body cannot be told from it")

@@ -16,6 +16,7 @@ from rumi.robot.arm import Arm
 from rumi.robot.gripper import GripperShape
 from rumi.robot.mjcf import urdf_of_mjcf
 from rumi.robot.reach_table import STARTS
+from rumi.robot.robot_file import read_robot
 from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, links_xml
 from rumi.sim.scene import FLOOR, SHELL, UNSEEN_GROUP, quaternion
 from rumi.sim.world import _import_mujoco
@@ -90,7 +91,7 @@ class RobotArm:
         Raises:
             UsageError: it cannot be read, has no such tip, or a joint on the way to it has no largest torque.
         """
-        text, folder = _read(robot)
+        text, folder = read_robot(robot)
         spec = _spec(text, folder)
         model = _compiled(spec, folder)
         joints = _chain(model, tip)
@@ -167,16 +168,6 @@ class RobotArm:
             if any(joint.name == second for joint in body.joints):
                 break
         return found
-
-
-def _read(robot: str | Path) -> tuple[str, Path | None]:
-    text = str(robot)
-    if text.lstrip().startswith("<"):
-        return text, None
-    path = Path(robot)
-    if not path.is_file():
-        raise UsageError(f"Expected a file of MJCF or URDF, got {path}, which is none")
-    return path.read_text(), path.resolve().parent
 
 
 def _spec(text: str, folder: Path | None) -> Any:  # noqa: ANN401  (of MuJoCo)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
+from rumi.robot.robot_file import read_robot
 from rumi.sim.world import _import_mujoco
 from sensors.force.momentum_observer import DynamicsTerms
 
@@ -62,17 +63,11 @@ class MujocoDynamics:
             UsageError: it cannot be read.
         """
         mujoco = _import_mujoco()
-        text = str(robot)
+        text, folder = read_robot(robot)
         try:
-            if text.lstrip().startswith("<"):
+            if folder is None or "<robot" in text:
                 return cls(mujoco.MjModel.from_xml_string(_bare(text)), joints)
-            path = Path(robot)
-            if not path.is_file():
-                raise UsageError(f"Expected a file of MJCF or URDF, got {path}, which is none")
-            source = path.read_text()
-            if "<robot" in source:
-                return cls(mujoco.MjModel.from_xml_string(_bare(source)), joints)
-            return cls(mujoco.MjModel.from_xml_path(str(path)), joints)
+            return cls(mujoco.MjModel.from_xml_path(str(robot)), joints)
         except (ValueError, ElementTree.ParseError) as error:
             if isinstance(error, UsageError):
                 raise
