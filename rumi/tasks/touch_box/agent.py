@@ -26,7 +26,7 @@ from rumi.tasks.touch_box.candidates import pokes
 from rumi.tasks.touch_box.records import TouchRun, TouchStep
 from rumi.tasks.touch_box.robot import Poke, Touched, TouchRobot
 from rumi.tasks.touch_box.scene import TouchTask
-from rumi.tasks.touch_box.selection import Choice, Rollouts, choose, expects_contact
+from rumi.tasks.touch_box.selection import Choice, Rollouts, Weighing, choose, expects_contact
 from rumi.tasks.touch_box.settings import TouchSettings
 from sensors.touch.contact_model import ContactModel
 
@@ -187,16 +187,8 @@ class Toucher:
             rollouts = rollouts._replace(
                 log_weights=torch.nn.functional.pad(even, (0, 1), value=-math.inf), likeliest=own.particles
             )
-        return paths, choose(
-            self.settings.method,
-            rollouts,
-            self.support,
-            hold=self.hold,
-            samples=own.samples,
-            every=own.every,
-            funnel=own.funnel,
-            generator=generator,
-        )
+        given = Weighing(rollouts, self.support, generator, self.hold, own.samples, own.every)
+        return paths, choose(self.settings.method, given, funnel=own.funnel)
 
     def watch(self, belief: TrajectoryBelief, path: Float[Tensor, "K1 3"]) -> Callable[[Touched], bool]:
         """Whether to go on with a poke, asked after each reading: until the belief expects contact to have lasted.

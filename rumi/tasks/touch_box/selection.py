@@ -38,18 +38,18 @@ class Weighing(NamedTuple):
     Attributes:
         rollouts: of the candidates.
         support: density term.
-        hold: steps of contact.
-        samples: reading sequences that are drawn for each candidate.
-        every: steps from one density term to the next.
         generator: all randomness.
+        hold: steps of contact.
+        samples: reading sequences that are drawn for each candidate ("sequence").
+        every: steps from one density term to the next.
     """
 
     rollouts: Rollouts
     support: SharedSupport
-    hold: int
-    samples: int
-    every: int
     generator: torch.Generator
+    hold: int = 3
+    samples: int = 32
+    every: int = 4
 
 
 Worth = tuple[Float[Tensor, "C"], Int[Tensor, "C"] | None]
@@ -73,37 +73,22 @@ class Choice(NamedTuple):
     best: int
 
 
-def choose(
-    method: str,
-    rollouts: Rollouts,
-    support: SharedSupport,
-    *,
-    hold: int = 3,
-    samples: int = 32,
-    every: int = 4,
-    funnel: float = 0.0,
-    generator: torch.Generator,
-) -> Choice:
+def choose(method: str, given: Weighing, *, funnel: float = 0.0) -> Choice:
     """Weigh candidates by a method and take the best.
 
     Args:
         method: of `METHODS`.
-        rollouts: of the candidates.
-        support: density term.
-        hold: steps of contact.
-        samples: reading sequences that are drawn for each candidate ("sequence").
-        every: steps from one density term to the next.
+        given: what the candidates are weighed by.
         funnel: nats of worth for each nat by which the motion alone shrinks the belief's volume.
-        generator: all randomness.
 
     Raises:
         UsageError: there is no such method.
     """
-    count, steps = rollouts.probability.shape[:2]
-    value, best = METHODS[method](Weighing(rollouts, support, hold, samples, every, generator))
+    count, steps = given.rollouts.probability.shape[:2]
+    value, best = METHODS[method](given)
     whole = torch.full((count,), steps) if best is None else best
     if funnel != 0.0:
-        value = value + funnel * shrinking(rollouts, support, whole)
+        value = value + funnel * shrinking(given.rollouts, given.support, whole)
     # where nothing gains, the first candidate is carried out to its end, which is an uninformed poke, since candidates
     # are drawn alike: to stand still would gather nothing and lead to the same choice again
     whole = torch.where(whole > 0, whole, steps)

@@ -113,9 +113,9 @@ def test_the_reading_that_is_simulated_is_the_likeliest_particle_s(monkeypatch):
     """However few are rolled out, and wherever in the belief it is."""
     seen = []
 
-    def watched(method, rollouts, *others, **named):
-        seen.append(rollouts)
-        return choose(method, rollouts, *others, **named)
+    def watched(method, given, **named):
+        seen.append(given.rollouts)
+        return choose(method, given, **named)
 
     monkeypatch.setattr("rumi.tasks.touch_box.agent.choose", watched)
     own = toucher(replace(SETTINGS, method="ml-observation", poke=PokeSettings(candidates=3, particles=20)))

@@ -11,6 +11,7 @@ from rumi.information.neighbours import StateMetric
 from rumi.tasks.touch_box.selection import (
     METHODS,
     Rollouts,
+    Weighing,
     choose,
     expects_contact,
     likeliest_gain,
@@ -107,7 +108,7 @@ def test_a_particle_that_is_named_says_what_is_read_and_needs_no_weight(generato
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_takes_its_best(method, generator):
     found = rollouts(generator)
-    choice = choose(method, found, SUPPORT, generator=generator)
+    choice = choose(method, Weighing(found, SUPPORT, generator))
     assert choice.value.shape == (3,)
     assert choice.best == int(choice.value.argmax())
     assert bool(((choice.steps >= 1) & (choice.steps <= 4)).all())
@@ -115,7 +116,7 @@ def test_every_method_takes_its_best(method, generator):
 
 def test_most_contact_is_the_touched_share_of_the_belief(generator):
     found = rollouts(generator)
-    value = choose("max-contact", found, SUPPORT, generator=generator).value
+    value = choose("max-contact", Weighing(found, SUPPORT, generator)).value
     touched = found.touching.any(1).double()
     torch.testing.assert_close(value, touched @ found.log_weights.exp())
 
@@ -125,7 +126,7 @@ def test_where_nothing_gains_a_candidate_that_was_drawn_like_any_is_carried_out_
     spread = torch.linspace(1.0, 2.0, 5, dtype=torch.float64)[:, None, None] * found.states[:, :1]
     found = found._replace(states=spread, probability=torch.full_like(found.probability, 0.1))
     for method in ("entropy", "weights-only"):
-        choice = choose(method, found, SUPPORT, generator=generator)
+        choice = choose(method, Weighing(found, SUPPORT, generator))
         assert choice.value.tolist() == [0.0] * 3
         assert (choice.best, choice.steps.tolist()) == (0, [4] * 3)
 
@@ -135,14 +136,14 @@ def test_a_bonus_for_funnels_counts_what_the_motion_alone_gathers(generator):
     states = found.states.clone()
     states[1, -1] = 0.1 * states[1, 0]  # the second poke herds the particles together
     found = found._replace(states=states)
-    plain = choose("max-contact", found, SUPPORT, generator=generator).value
-    bonus = choose("max-contact", found, SUPPORT, funnel=1.0, generator=generator).value - plain
+    plain = choose("max-contact", Weighing(found, SUPPORT, generator)).value
+    bonus = choose("max-contact", Weighing(found, SUPPORT, generator), funnel=1.0).value - plain
     assert float(bonus[1]) == pytest.approx(3 * math.log(10.0), abs=1e-6)
 
 
 def test_an_unknown_method_is_refused(generator, no_shape_check):
     with pytest.raises(ValueError, match="entropy"):
-        choose("guess", rollouts(generator), SUPPORT, generator=generator)
+        choose("guess", Weighing(rollouts(generator), SUPPORT, generator))
 
 
 def test_contact_is_expected_of_the_weight_that_was_touched_long_enough():
