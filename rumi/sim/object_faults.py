@@ -4,6 +4,8 @@ import math
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from rumi.sim.fault import Fault, Hand
 from rumi.sim.reshaped import resized
@@ -38,6 +40,14 @@ class Knock(Fault):
             if float(clear) > 2e-3:
                 break
         world.place(moved)
+
+    def struck(self, pose: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
+        """Where it puts an object at (x, y, yaw) where nothing tells whether the tool is there."""
+        turn = 2.0 * float(torch.rand(2, generator=self.drawn())[1]) - 1.0
+        moved = pose.clone()
+        moved[:2] += self.aside()[:2].to(moved)
+        moved[2] += torch.deg2rad(torch.tensor(self.size * turn)).to(moved)
+        return moved
 
 
 class Absent(Fault):

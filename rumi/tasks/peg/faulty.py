@@ -22,11 +22,7 @@ def strike(cell: TouchCell, faults: Sequence[Fault], step: int) -> None:
     """Move the block before the motion at which a knock is due."""
     for fault in faults:
         if isinstance(fault, Knock) and fault.step == step:
-            turn = 2.0 * float(torch.rand(2, generator=fault.drawn())[1]) - 1.0
-            moved = cell.truth.clone()
-            moved[:2] += fault.aside()[:2].to(moved)
-            moved[2] += torch.deg2rad(torch.tensor(fault.size * turn)).to(moved)
-            cell.truth = moved
+            cell.truth = fault.struck(cell.truth)
 
 
 def follow(cell: TouchCell, points: Float[Tensor, "K 3"], faults: Sequence[Fault], step: int) -> Felt:

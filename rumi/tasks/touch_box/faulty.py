@@ -57,9 +57,7 @@ class FaultyRobot:
         if isinstance(fault, Absent):
             pose[0] += _AWAY_M
         elif isinstance(fault, Knock):
-            pose[:2] += fault.aside()[:2].to(pose)
-            share = 2.0 * float(torch.rand(2, generator=fault.drawn())[1]) - 1.0
-            pose[2] += torch.deg2rad(torch.tensor(fault.size * share)).to(pose)
+            pose = fault.struck(pose)
         else:
             return
         self.robot.put_box(pose)
