@@ -1,5 +1,6 @@
 """What a run of the peg task leaves behind: a record a step, and how it ended."""
 
+import statistics
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -191,6 +192,7 @@ class PegRun:
         """Plain values of how it ended."""
         thinking = sum(thought.ended_s - thought.begun_s for thought in self.thoughts)
         times = self.contact_times_s
+        measured = [seconds for t in self.thoughts for _, seconds in t.selection.measured]
         late = [thought.selection.late_s for thought in self.thoughts if thought.selection.candidate is not None]
         return {
             "in_hole": self.in_hole,
@@ -219,7 +221,7 @@ class PegRun:
             "doublings": sum(thought.selection.doublings for thought in self.thoughts),
             "direct": sum(t.selection.candidate.action.direct for t in self.thoughts if t.selection.candidate),
             "late_s": max(late, default=0.0),
-            "evaluation_s": _median([s for t in self.thoughts for _, s in t.selection.measured]),
+            "evaluation_s": statistics.median_high(measured) if measured else None,
         }
 
 
@@ -229,10 +231,6 @@ RELIES_ON = "motion: none, the block is fixed; reach: none; push model: none; se
 
 def _mm(metres: float | None) -> float | None:
     return None if metres is None else 1e3 * metres
-
-
-def _median(values: list[float]) -> float | None:
-    return sorted(values)[len(values) // 2] if values else None
 
 
 PARTS = (PegStep, Thought, Selection, Candidate, Motion, Evaluated, Felt, ContactKind, StaticBelief, TargetEstimate)
