@@ -13,7 +13,6 @@ from torch import Tensor
 
 from rumi.agent import StopReason
 from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel
-from rumi.belief.initialise import initialise, view_starts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.reinitialise import verify
 from rumi.clock import Clock
@@ -31,7 +30,7 @@ from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.agent import Rummager, RummageState
 from rumi.tasks.rummage.build import build_rummager
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
-from rumi.tasks.rummage.first_belief import first_belief
+from rumi.tasks.rummage.first_belief import first_belief, seen_belief
 from rumi.tasks.rummage.scenes import make_tool
 from rumi.tasks.rummage.settings import preset
 from rumi.weights import boltzmann
@@ -243,13 +242,8 @@ def total_nll(nll: Sequence[float], steps: int) -> float:
 
 def _seen(rummager: Rummager, belief: PoseBelief, memory: Observation, *, generator: torch.Generator) -> PoseBelief:
     """All poses that a first view leaves, weighed by the prior too; the belief itself where nothing was seen."""
-    pose_filter = rummager.filter
-    surface, own = memory.points[memory.of_class(Semantics.SURFACE)], rummager.initialise
-    if len(surface) == 0:
+    if not bool(memory.of_class(Semantics.SURFACE).any()):
         return belief
-    reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
-    starts = view_starts(surface, own.starts, reach_m, rummager.height_m, generator=generator)
-    peakiness = pose_filter.settings.peakiness
-    found = initialise(pose_filter.discrepancy, memory, starts, pose_filter.search, peakiness, own, generator=generator)
-    total = pose_filter.total(found, memory)
-    return replace(found, discrepancy=total).reweighted(boltzmann(total, peakiness))
+    found = seen_belief(rummager, memory, generator=generator)
+    total = rummager.filter.total(found, memory)
+    return replace(found, discrepancy=total).reweighted(boltzmann(total, rummager.filter.settings.peakiness))

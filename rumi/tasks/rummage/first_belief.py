@@ -21,13 +21,18 @@ def first_belief(
     if rummager.filter.prior is not None:
         belief = prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator)
         return rummager.filter.begin(belief, memory, generator=generator), memory
-    surface = memory.points[memory.of_class(Semantics.SURFACE)]
-    if len(surface) == 0:
+    if not bool(memory.of_class(Semantics.SURFACE).any()):
         raise ValueError("Expected a first view with surface points of the object, got none: check the object's mask")
-    settings = rummager.initialise
+    belief = seen_belief(rummager, memory, generator=generator)
+    return rummager.filter.begin(belief, memory, generator=generator), memory
+
+
+def seen_belief(rummager: RummagerParts, memory: Observation, *, generator: torch.Generator) -> PoseBelief:
+    """Poses that fit the points of the surface in memory, of which there must be some."""
+    surface, settings = memory.points[memory.of_class(Semantics.SURFACE)], rummager.initialise
     reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
     starts = view_starts(surface, settings.starts, reach_m, rummager.height_m, generator=generator)
-    belief = initialise(
+    return initialise(
         rummager.filter.discrepancy,
         memory,
         starts,
@@ -36,4 +41,3 @@ def first_belief(
         settings,
         generator=generator,
     )
-    return rummager.filter.begin(belief, memory, generator=generator), memory
