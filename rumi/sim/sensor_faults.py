@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.dynamics.sliding import rotated
@@ -103,17 +103,10 @@ class FalseContact(Fault):
         if chance >= self.size:
             return reading
         instant = int(when * len(reading.tool_pose))
-        first = hand.pads[int(where * len(hand.pads))]
-        near = (hand.pads - first).norm(dim=-1).topk(min(_FELT, len(hand.pads)), largest=False).indices
-        points = Observation.of(se3.apply(reading.tool_pose[instant], hand.pads[near]), Semantics.SURFACE)
+        places = se3.apply(reading.tool_pose[instant], _together(hand.pads, where))
         in_contact = reading.in_contact.clone()
         in_contact[instant] = True
-        return replace(
-            reading,
-            observation=concatenate([points, reading.observation]),
-            instant=torch.cat((torch.full((len(points),), instant, dtype=torch.long), reading.instant)),
-            in_contact=in_contact,
-        )
+        return _felt_too(reading, places, torch.full((len(places),), instant, dtype=torch.long), in_contact)
 
 
 class Stuck(Fault):
@@ -128,19 +121,13 @@ class Stuck(Fault):
 
     def felt(self, reading: Reading, hand: Hand, step: int) -> Reading:
         """The same pads' points at every instant, whatever is there."""
-        first = hand.pads[int(float(torch.rand((), generator=self.drawn())) * len(hand.pads))]
-        near = (hand.pads - first).norm(dim=-1).topk(min(_FELT, len(hand.pads)), largest=False).indices
+        near = _together(hand.pads, float(torch.rand((), generator=self.drawn())))
         instants = len(reading.tool_pose)
-        places = se3.apply(reading.tool_pose, hand.pads[near].expand(instants, -1, -1)).reshape(-1, 3)
+        places = se3.apply(reading.tool_pose, near.expand(instants, -1, -1)).reshape(-1, 3)
         kept = ~reading.observation.of_class(Semantics.SURFACE)
-        points = concatenate([Observation.of(places, Semantics.SURFACE), reading.observation[kept]])
+        reading = replace(reading, observation=reading.observation[kept], instant=reading.instant[kept])
         when = torch.arange(instants).repeat_interleave(len(near))
-        return replace(
-            reading,
-            observation=points,
-            instant=torch.cat((when, reading.instant[kept])),
-            in_contact=torch.ones_like(reading.in_contact),
-        )
+        return _felt_too(reading, places, when, torch.ones_like(reading.in_contact))
 
 
 class SecondObject(Fault):
@@ -176,10 +163,24 @@ class SecondObject(Fault):
         when, which = met.nonzero(as_tuple=True)
         if not len(when):
             return reading
-        points = Observation.of(se3.apply(reading.tool_pose[when], hand.pads[which][:, None])[:, 0], Semantics.SURFACE)
-        return replace(
-            reading,
-            observation=concatenate([points, reading.observation]),
-            instant=torch.cat((when, reading.instant)),
-            in_contact=reading.in_contact | met.any(-1),
-        )
+        places = se3.apply(reading.tool_pose[when], hand.pads[which][:, None])[:, 0]
+        return _felt_too(reading, places, when, reading.in_contact | met.any(-1))
+
+
+def _together(pads: Float[Tensor, "n 3"], share: float) -> Float[Tensor, "m 3"]:
+    """Some points near by each other on the pads, about the one that is as far along as a share in [0, 1)."""
+    first = pads[int(share * len(pads))]
+    return pads[(pads - first).norm(dim=-1).topk(min(_FELT, len(pads)), largest=False).indices]
+
+
+def _felt_too(
+    reading: Reading, places: Float[Tensor, "m 3"], when: Int[Tensor, "m"], in_contact: Bool[Tensor, "K"]
+) -> Reading:
+    """A reading with points that were felt at some instants before its own."""
+    points = Observation.of(places, Semantics.SURFACE)
+    return replace(
+        reading,
+        observation=concatenate([points, reading.observation]),
+        instant=torch.cat((when, reading.instant)),
+        in_contact=in_contact,
+    )
