@@ -1,6 +1,7 @@
 """Registry of policies by name: RUMI, its ablations and the baselines."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 from torch import Tensor
@@ -8,7 +9,7 @@ from torch import Tensor
 from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
 from rumi.planning.next_touch import NextTouchPolicy
 from rumi.planning.policy import Policy
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.planning.slide import SlidePolicy, SlideSettings
 from rumi.registry import Table
 
@@ -46,8 +47,8 @@ POLICIES: Table[MakePolicy] = Table("method", "rumi.policies")
 
 
 POLICIES.add("rumi", lambda own, reach: _chosen(own.planner, reach))
-POLICIES.add("info-only", lambda own, reach: info_only(own.planner))
-POLICIES.add("reach-only", lambda own, reach: reach_only(reach, own.planner))
+POLICIES.add("info-only", lambda own, reach: RummagingPolicy(None, replace(own.planner, reachability_scale=0.0)))
+POLICIES.add("reach-only", lambda own, reach: RummagingPolicy(reach, replace(own.planner, information_scale=0.0)))
 POLICIES.add("slide", lambda own, reach: SlidePolicy(own.slide))
 POLICIES.add("gpvr", lambda own, reach: GPVRPolicy(own.planner, own.gpvr, greedy=False))
 POLICIES.add("gpvr-greedy", lambda own, reach: GPVRPolicy(own.planner, own.gpvr, greedy=True))

@@ -330,18 +330,3 @@ def _fetched(told: Sequence[Tensor], unseen: Sequence[Tensor], work: skipped_wor
         raise ValueError("Expected finite poses, weights, configuration and costs, got NaN or infinity among them")
     work.settle([float(number) for number in pending])
     return kept
-
-
-def info_only(settings: RummagingSettings | None = None) -> RummagingPolicy:
-    """RUMI that gathers information and does not care where it pushes the object."""
-    return RummagingPolicy(None, replace(settings or RummagingSettings(), reachability_scale=0.0))
-
-
-def reach_only(reachability: Float[Tensor, "V"], settings: RummagingSettings | None = None) -> RummagingPolicy:
-    """RUMI that keeps the information within reach and does not care to gather it.
-
-    Args:
-        reachability: r(x) of every workspace point in [0, 1] (Eq 30).
-        settings: the rest.
-    """
-    return RummagingPolicy(reachability, replace(settings or RummagingSettings(), information_scale=0.0))

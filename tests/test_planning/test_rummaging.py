@@ -17,8 +17,10 @@ from rumi.fields.information import InformationSettings, WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, PlanRequest, Scene
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
+from rumi.planning.registry import POLICIES
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.robot.tool import Tool
+from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
@@ -136,7 +138,8 @@ def test_a_plan_that_stands_still_for_the_sake_of_reach_is_made_anew(scene: Scen
 
 def test_goes_where_the_information_is(scene: Scene) -> None:
     """The best sample meets informative cells, and the plan brings the pads closer to the object."""
-    policy = info_only(replace(SMALL, mppi=replace(SMALL.mppi, samples=200)))
+    settings = preset(planner=replace(SMALL, mppi=replace(SMALL.mppi, samples=200)))
+    policy = POLICIES["info-only"](settings, falling(scene))
     start = replace(scene, configuration=torch.tensor([0.1, 0.3, 0.0]))
     made = plan(policy, start, belief())
     assert made.info["least_cost"] < -0.05
@@ -148,7 +151,8 @@ def test_goes_where_the_information_is(scene: Scene) -> None:
 
 
 def test_reach_alone_does_not_push_away_what_is_reachable(scene: Scene) -> None:
-    made = plan(reach_only(falling(scene), replace(SMALL, reachability_scale=1.0)), scene, belief())
+    settings = preset(planner=replace(SMALL, reachability_scale=1.0))
+    made = plan(POLICIES["reach-only"](settings, falling(scene)), scene, belief())
     assert made.skipped["information_cost"] == 1.0
     assert made.info["displacement"][0] <= 0.0
     assert -1.0 <= made.info["least_cost"] <= -0.5
