@@ -68,10 +68,15 @@ class Reading:
         """Refuse what no sensor can mean: a belief that has taken in a NaN is lost."""
         observation, instants = self.observation, self.tool_pose.shape[-3]
         check_finite("observation.points", observation.points.masked_fill(~observation.valid[..., None], 0.0))
-        for name in ("tool_pose", "object_motion", "configuration"):
+        for name in ("tool_pose", "object_motion", "configuration", "clipped"):
             value = getattr(self, name)
             if value is not None:
                 check_finite(name, value)
+        if not isinstance(self.stamp, Tensor):
+            if not math.isfinite(self.stamp):
+                raise ValueError(f"Expected stamp to be finite seconds, got {self.stamp}")
+        else:
+            check_finite("stamp", self.stamp)
         for name, values in self.measurements.items():
             own = values.shape[self.tool_pose.ndim - 3]
             if own != instants:

@@ -56,6 +56,14 @@ def export(arguments: Sequence[str]) -> int:
             found = replace(found, mesh=object_mesh(run, options.mesh, options.scale))
     beside = options.run.with_suffix("") if options.run.is_file() else options.run
     path = options.out or beside / "export" / kind.file
+    if path.exists() and path.suffix != Path(kind.file).suffix:
+        raise UsageError(
+            f"Expected --out to be new or a {Path(kind.file).suffix} file, got {path}, which would be lost"
+        )
+    if options.run.is_dir() and path.resolve().parent == options.run.resolve():
+        raise UsageError(f"Expected --out beside the run's own files, got {path}: {options.run / 'export'} is free")
+    if options.mesh is not None and options.mesh.resolve() in (path.resolve(), path.with_suffix(".obj").resolve()):
+        raise UsageError(f"Expected --out to leave the mesh {options.mesh} as it is: give it another name")
     make_folder(path.parent)
     for written in kind.write(found, path):
         sys.stdout.write(f"{written}\n")

@@ -122,6 +122,10 @@ class ArmReach(Reach):
         if pose.shape != (4, 4):
             raise UsageError(f"Expected base to be (x, y, yaw) or world_T_root (4, 4), got {tuple(pose.shape)}")
         pose, mount = pose.double(), torch.eye(4).double() if tip_T_tool is None else tip_T_tool.double()
+        _check_rigid("base", pose)
+        _check_rigid("tip_T_tool", mount)
+        if not bool(arm.forward(torch.full((1, len(arm.joints)), 0.1, dtype=torch.float64)).isfinite().all()):
+            raise UsageError("Expected joints whose axes and places are finite numbers, and no axis zero, got others")
         collision = ArmCollision.of(robot, arm.joints, pose, packages=packages, floor=settings.floor)
         goals, corner, steps = _goals(bounds, settings)
         numbers = {**asdict(settings), "tip": tip, "corner": corner, "steps": steps, "shape": list(goals.shape)}
@@ -225,6 +229,13 @@ class ArmReach(Reach):
             return planar
         height = points_w[..., None, 2:].expand(*planar.shape[:-1], 1)
         return torch.cat((planar[..., :2], height, planar[..., 2:]), -1)
+
+
+def _check_rigid(name: str, pose: Float[Tensor, "4 4"]) -> None:
+    turn = pose[:3, :3]
+    rigid = bool(pose.isfinite().all()) and float((turn @ turn.mT - torch.eye(3).to(turn)).abs().max()) < 1e-3
+    if not rigid or float(torch.linalg.det(turn)) < 0:
+        raise UsageError(f"Expected {name} to turn and shift alone, with finite numbers, got {pose.tolist()}")
 
 
 def _goals(

@@ -108,6 +108,8 @@ def _obj(found: Estimates, beside: Path) -> Path:
     if found.mesh is None:
         raise UsageError("Expected the object's mesh, got none: give --mesh FILE")
     path = beside.with_suffix(".obj")
+    if path.exists() and not beside.exists():  # no export's: one writes both
+        raise UsageError(f"Expected no file {path}, where the mesh goes: give another --out, or take it away")
     vertices = [f"v {_words(row)}" for row in found.mesh.vertices]
     faces = ["f " + " ".join(map(str, row)) for row in (found.mesh.faces + 1).tolist()]
     with whole_file(path) as aside:

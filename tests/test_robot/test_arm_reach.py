@@ -177,6 +177,26 @@ def test_what_is_no_arm_is_refused(old, new, said):
         ArmReach.of_urdf(SIX.replace(old, new), "tool", BOUNDS)
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"base": (math.nan, 0.0, 0.0)}, "base"),
+        ({"base": (math.inf, 0.0, 0.0)}, "base"),
+        ({"tip_T_tool": torch.zeros(4, 4)}, "tip_T_tool"),
+        ({"tip_T_tool": torch.diag(torch.tensor([1.0, 1.0, -1.0, 1.0]))}, "tip_T_tool"),
+    ],
+)
+def test_frames_that_are_none_are_refused(given, said):
+    with pytest.raises(UsageError, match=f"Expected {said} to turn and shift alone"):
+        ArmReach.of_urdf(SIX, "tool", BOUNDS, **given)
+
+
+@pytest.mark.parametrize("axis", ["nan 1 0", "0 0 0"])
+def test_an_axis_that_is_none_is_refused(axis):
+    with pytest.raises(UsageError, match="no axis zero"):
+        ArmReach.of_urdf(SIX.replace('<axis xyz="0 0 1"/>', f'<axis xyz="{axis}"/>', 1), "tool", BOUNDS)
+
+
 def test_tables_are_kept(tmp_path):
     first, second = (ArmReach.of_urdf(SIX, "tool", BOUNDS, settings=FEW, cache_dir=tmp_path) for _ in range(2))
     assert torch.equal(first.left, second.left) and len(list(tmp_path.iterdir())) == 1

@@ -157,11 +157,22 @@ def test_the_command_writes_beside_the_run(folder, capsys):
         (["RUN", "--to", "mjcf", "--mesh", "nowhere.obj"], "no such file"),
         (["RUN/settings.json", "--to", "json"], "is no HDF5 file"),
         (["nowhere", "--to", "json"], "There is no run folder nowhere"),
+        (["RUN", "--to", "npz", "--out", "RUN/trace.npz"], "beside the run's own files"),
+        (["RUN", "--to", "json", "--out", "RUN/../own.stl"], "to be new or a .json file"),
+        (["RUN", "--to", "urdf", "--out", "RUN/../part.urdf"], "part.obj, where the mesh goes"),
+        (["RUN", "--to", "urdf", "--mesh", "RUN/../part.obj", "--out", "RUN/../part.urdf"], "to leave the mesh"),
     ],
 )
 def test_bad_input_is_named(arguments, message, folder, capsys):
+    block = mesh_of(Box((0.02, 0.03, 0.04)), 0.01)
+    own = [f"v {x} {y} {z}" for x, y, z in block.vertices.tolist()]
+    own += [f"f {a} {b} {c}" for a, b, c in (block.faces + 1).tolist()]
+    files = {folder.parent / name: "\n".join(own) for name in ("own.stl", "part.obj")}
+    for path, text in files.items():
+        path.write_text(text)
     assert main(["export", *(word.replace("RUN", str(folder)) for word in arguments)]) == 2
     assert message in capsys.readouterr().err
+    assert all(path.read_text() == text for path, text in files.items())
 
 
 def test_a_run_that_knows_no_pose_yet_is_refused(folder):

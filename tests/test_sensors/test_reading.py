@@ -20,11 +20,11 @@ def reading() -> Reading:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-@pytest.mark.parametrize("name", ["tool_pose", "object_motion", "configuration"])
+@pytest.mark.parametrize("name", ["tool_pose", "object_motion", "configuration", "clipped", "stamp"])
 def test_values_that_are_not_finite_are_refused(name, value):
     good = reading()
-    bad = getattr(good, name).clone()
-    bad[0] = value
+    bad = torch.as_tensor(getattr(good, name)).clone()
+    bad[(0,) * bad.ndim] = value
     with pytest.raises(ValueError, match=f"Expected {name} to be finite"):
         replace(good, **{name: bad})
 
