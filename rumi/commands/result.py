@@ -51,6 +51,8 @@ def result(arguments: Sequence[str]) -> int:
     lines += answer_lines(pose, reason, ended.get("warnings", ()))
     if pose is None:
         lines.append("pose     not known yet")
+    for remark in ended.get("remarks") or ():
+        lines += folded(f"odd      {remark['name']} at action {remark['step']}: {remark['sentence']}")
     if relies_on := ended.get("relies_on"):
         lines += folded(f"relies on {relies_on}")
     sys.stdout.write("\n  ".join(lines) + "\n")
