@@ -87,8 +87,8 @@ def test_as_it_is_told(tmp_path, cache):
 def test_an_origin_beside_the_object_is_moved(tmp_path, cache):
     model = model_of(box_file(tmp_path, at=(1.0, -2.0, 0.5)), cache)
     low, high = model.exact.bounds
-    torch.testing.assert_close((low + high)[:2], torch.zeros(2), atol=1e-6, rtol=0)
-    torch.testing.assert_close(model.source.object_T_mesh[:3, 3], torch.tensor([-1.0, 2.0, 0.0]).double())
+    torch.testing.assert_close(low + high, torch.zeros(3), atol=1e-6, rtol=0)
+    torch.testing.assert_close(model.source.object_T_mesh[:3, 3], torch.tensor([-1.0, 2.0, -0.5]).double())
 
 
 def test_declared_symmetry_is_in_the_meshs_frame(tmp_path, cache):

@@ -188,8 +188,11 @@ def _standing(exact: "MeshSDF", upright: Literal["auto"] | tuple[Finite, Finite,
         turn, how = _roll_pitch_yaw(upright), "given"
     at = se3.make(turn, torch.zeros(3, dtype=torch.float64))
     low, high = exact.mesh.moved(at).bounds
-    if bool((low[:2] > 0).any() | (high[:2] < 0).any()):
+    beside = (low > 0) | (high < 0)
+    if bool(beside[:2].any()):
         at[:2, 3] = -0.5 * (low + high)[:2]
+    if bool(beside[2]):
+        at[2, 3] = -0.5 * float(low[2] + high[2])
     return at, how
 
 
