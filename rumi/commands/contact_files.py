@@ -82,6 +82,8 @@ def _split(rows: list[tuple[int, list[float]]], columns: list[str] | None = None
         if table.shape[1] not in (3, 6):
             raise ValueError(f"expected 3 numbers a line, or 6 with normals, got {table.shape[1]}")
         columns = [*_PLACE, *_NORMAL][: table.shape[1]]
+    if twice := [name for name in (*_PLACE, *_NORMAL) if columns.count(name) > 1]:
+        raise ValueError(f"expected each column once, got {', '.join(twice)} more than once")
     return _named(dict(zip(columns, table.T, strict=True)))
 
 

@@ -106,7 +106,7 @@ def localize(arguments: Sequence[str]) -> int:
     began = time.perf_counter()
     prior = None
     if options.center is not None and options.radius is not None:
-        prior = PositionPrior(torch.tensor(options.center).double(), torch.tensor(options.radius).double())
+        prior = PositionPrior(*(torch.tensor(part, dtype=torch.float64) for part in (options.center, options.radius)))
     try:
         mesh = load_mesh(options.mesh, scale=options.scale)
         check_size(mesh, options.scale)

@@ -134,6 +134,7 @@ def test_options_that_cannot_be(wedge, touched, arguments, words, capsys):
         ("empty.csv", "", "got none"),
         ("words.csv", "0 0 0\n0 0 one\n", "line 2 has something that is no number"),
         ("ragged.csv", "0 0 0\n0 0\n", "line 2 has 2 numbers"),
+        ("twice.csv", "x,y,z,x\n0,0,0,1\n0,0,1,1\n", "each column once, got x more than once"),
         ("four.csv", "0 0 0 1\n0 0 1 1\n", "3 numbers a line, or 6"),
         ("short.off", "OFF\n5 0 0\n0 0 0\n", "the 5 points that its header says, got 1"),
         ("long.off", "OFF\n1 0 0\n0 0 0\n0 0 1\n", "the 1 points that its header says, got 2"),
