@@ -208,7 +208,7 @@ def _candidates(
         if mask is None or tuple(mask.shape) != shape:
             got = "None" if mask is None else tuple(mask.shape)
             raise ValueError(f"Expected a mask of the object of depth's shape {shape}, got {got}")
-        return mask
+        return torch.as_tensor(mask, dtype=torch.bool)
     if settings.segmentation == "color":
         if color is None or tuple(color.shape[:2]) != shape:
             got = "None" if color is None else tuple(color.shape)
