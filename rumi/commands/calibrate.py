@@ -79,6 +79,8 @@ def calibrate(arguments: Sequence[str]) -> int:
     entry.check(settings)
     path = options.out or Path("runs") / f"calibration-{name}.jsonl"
     check_writable(path)
+    if path.is_file() and path.stat().st_size and not any(read_lines(path)):
+        raise UsageError(f"Expected --out to be new, or to hold episodes of before, got {path}, which holds none")
     mark = hashlib.sha256(repr(replace(settings, seed=0)).encode()).hexdigest()[:12]
     there = {
         line["seed"]: line

@@ -96,6 +96,8 @@ def pushes(arguments: Sequence[str]) -> int:
     for path in (options.out, options.figure):
         if path is not None:
             check_writable(path)
+    if options.out is not None and options.out.is_file():
+        PushPosterior.load(options.out)  # refuses another kind of file, which would be lost
     before = PushPosterior.prior() if options.pushes is None else PushPosterior.load(options.pushes)
     with run_folder(options.run) as folder:
         found, body, after = learnt(load_run(folder), before, seed=options.seed)
