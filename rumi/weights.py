@@ -30,14 +30,13 @@ def normalise(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
     return log_weights.log_softmax(-1)
 
 
-def equal_weights(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
-    """Log-weights -log N of as many particles, as after a resampling."""
-    return normalise(torch.zeros_like(log_weights))
+def equal_weights(like: Float[Tensor, "*b N"] | int) -> Float[Tensor, "*b N"]:
+    """Log-weights -log N, as after a resampling.
 
-
-def even_weights(count: int) -> Float[Tensor, "N"]:
-    """Log-weights -log N of N particles in float64."""
-    return normalise(torch.zeros(count, dtype=torch.float64))
+    Args:
+        like: log-weights of as many particles; or N, for float64 on the CPU.
+    """
+    return normalise(torch.zeros(like, dtype=torch.float64) if isinstance(like, int) else torch.zeros_like(like))
 
 
 def resampled_weights(log_weights: Float[Tensor, "*b N"], index: Int[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:

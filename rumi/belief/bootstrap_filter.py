@@ -29,7 +29,7 @@ from rumi.belief.trajectory_starts import brought_to, from_prior, jittered, jump
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import Generators, lone, normal
-from rumi.weights import effective_sample_size, even_weights, normalise
+from rumi.weights import effective_sample_size, equal_weights, normalise
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -90,7 +90,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
         """Draws of the prior."""
         drawn = self.drawn(lone(generator))
-        return self.belief_of(drawn, even_weights(len(drawn)), belief.world_T_attached, belief.log_weights)
+        return self.belief_of(drawn, equal_weights(len(drawn)), belief.world_T_attached, belief.log_weights)
 
     def drawn(self, random: torch.Generator) -> Trajectories:
         """As many particles of the prior as there may be, equally weighted."""
@@ -107,7 +107,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
             generator: of the draws.
         """
         now = self._jumped(*self.particles_of(belief), reading, path_of(reading, self.model), lone(generator))
-        return self.belief_of(now, even_weights(len(now)), belief.world_T_attached, belief.log_weights)
+        return self.belief_of(now, equal_weights(len(now)), belief.world_T_attached, belief.log_weights)
 
     def particles_of(self, belief: PoseBelief) -> tuple[Trajectories, Float[Tensor, "M"]]:
         """All particles of a belief, and their log-weights."""
@@ -121,7 +121,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
         """The belief of particles, of which some stand for all."""
         now = now.remembered(self.own.memory)
         shown = now.at(systematic(log_weights, 0.5, min(self.shown, len(now))))
-        few = super().belief_of(shown, even_weights(len(shown)), world_T_attached, like)
+        few = super().belief_of(shown, equal_weights(len(shown)), world_T_attached, like)
         return BootstrapBelief(
             few.world_T_attached,
             few.attached_T_object,
@@ -227,7 +227,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
             before, base = now, log_weights
             if again and self.own.sampling_error:
                 before = now.at(resample_systematic(log_weights, few, generator=random))
-                base = even_weights(len(before))
+                base = equal_weights(len(before))
             some = self._some_jumped(before, segment, share, random)
             noise = normal((len(some), 1, NOISE), generator=random, dtype=torch.float64)
             if again:
@@ -274,7 +274,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
         if count <= len(now) <= most and float(effective_sample_size(log_weights)) >= 0.5 * count:
             return now, log_weights
         now = self._moved(now.at(resample_systematic(log_weights, count, generator=random)), random)
-        return now, even_weights(len(now))
+        return now, equal_weights(len(now))
 
     def _moved(self, now: Trajectories, random: torch.Generator) -> Trajectories:
         """Present poses moved by the kernel."""

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.prior import evenly
+from rumi.belief.prior import kronecker_sequence
 from rumi.registration.descent import DescentSettings, Search
 from rumi.registration.register import RegisterSettings, register
 from rumi.weights import boltzmann
@@ -58,7 +58,7 @@ def view_starts(
         generator: shifts the spread.
     """
     index = torch.arange(count, dtype=surface.dtype, device=surface.device)
-    share = evenly(index, generator=generator)
+    share = kronecker_sequence(index, generator=generator)
     angle, radius = 2 * torch.pi * share[:, 1], reach_m * share[:, 2].sqrt()
     centre = 0.5 * (surface.amin(0) + surface.amax(0))
     planar = torch.stack(

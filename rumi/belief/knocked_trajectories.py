@@ -20,7 +20,7 @@ from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_moves import Moves
 from rumi.resampling import resample_systematic
 from rumi.seeding import normal
-from rumi.weights import even_weights
+from rumi.weights import equal_weights
 from sdf import se3
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -65,7 +65,7 @@ def begun_again(
     moves = Moves(model, sensed, generator)
     for _ in range(_SWEEPS):
         drawn = moves.sweep(drawn, history, whole=True)
-    flat = even_weights(len(drawn))
+    flat = equal_weights(len(drawn))
     return pose_filter.belief_of(drawn, flat, se3.identity().to(after.world_T_attached), after.log_weights)
 
 
@@ -95,7 +95,7 @@ def sought(
     last, count = before.trajectories, max(pose_filter.own.particles, pose_filter.own.first_particles)
     assert last is not None
     drawn = replace(_knocked(before, History.empty(), own, count, generator), log_evidence=last.log_evidence)
-    even = even_weights(count)
+    even = equal_weights(count)
     belief: PoseBelief = pose_filter.belief_of(drawn, even, before.world_T_attached, before.log_weights)
     memory = memory[(~memory.attached).nonzero()[:, 0]]
     for reading in readings:

@@ -31,7 +31,7 @@ from rumi.errors import UsageError
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import Generators, lone, normal
-from rumi.weights import effective_sample_size, even_weights, normalise
+from rumi.weights import effective_sample_size, equal_weights, normalise
 from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
@@ -119,7 +119,7 @@ class PoseTrajectoryFilter(PoseFilter):
         else:
             fitted = se3.to_planar(belief.world_T_object.double())
             drawn = of_view(standing(memory, fitted, self.model, own), fitted, self.model, own, random)
-        even = even_weights(own.particles)
+        even = equal_weights(own.particles)
         return self.belief_of(drawn, even, belief.world_T_attached, belief.log_weights)
 
     @torch.no_grad()
@@ -170,7 +170,7 @@ class PoseTrajectoryFilter(PoseFilter):
         stood = reading.observation if not touched else seen_besides(reading, self.model, own)
         if touched:
             now, spans = self._touched(now, log_weights, reading, path, random, closes=not len(stood))
-            log_weights, resampled = even_weights(len(now)), True
+            log_weights, resampled = equal_weights(len(now)), True
         rides = middle_motion(now, spans, len(reading.in_contact), self.model)
         still = standing(stood, self._poses(now, log_weights), self.model, own, now.history)
         if still is not None:
@@ -229,7 +229,7 @@ class PoseTrajectoryFilter(PoseFilter):
         felt, spans = felt_pads(reading, self.model, self.own), list[int]()
         if self.own.first_particles > len(now) and len(now.starts) and not len(now.history.moving()):
             now = drawn_again(now, self.model, self.own, random)
-            log_weights = even_weights(len(now))
+            log_weights = equal_weights(len(now))
         lifted = self.model.lifted(reading.tool_pose)
         parts = cut(reading, self.own, lifted)
         level = [place for place, instants in enumerate(parts) if not bool(lifted[instants[0]])]
@@ -242,7 +242,7 @@ class PoseTrajectoryFilter(PoseFilter):
             segment = pushed(reading, instants, path, felt, tracks, self.model, self.own)
             last = closes and place == level[-1]
             now = self.absorbed(now, log_weights, segment, random, opens=not spans, closes=last)
-            log_weights, spans = even_weights(len(now)), [*spans, len(instants)]
+            log_weights, spans = equal_weights(len(now)), [*spans, len(instants)]
         return now, spans
 
     def _poses(self, now: Trajectories, log_weights: Tensor) -> Float[Tensor, "n D"]:
@@ -267,7 +267,7 @@ class PoseTrajectoryFilter(PoseFilter):
         """Particles and their log-weights after a segment, pushed or not."""
         if segment.pushes:
             now = self.absorbed(now, log_weights, segment, random, opens=opens, closes=closes)
-            return now, even_weights(len(now))
+            return now, equal_weights(len(now))
         now, log_weights, _ = self._weighed(now, log_weights, segment, random)
         return now, log_weights
 
@@ -323,7 +323,7 @@ class PoseTrajectoryFilter(PoseFilter):
         resampled = not enough or (closes and count > few)
         if resampled:
             now = now.at(resample_systematic(heavier, few, generator=random))
-            heavier = even_weights(few)
+            heavier = equal_weights(few)
         if resampled or closes:
             now = self._tempered(raised(now, power), power, random, whole=True)
         return now, heavier, resampled

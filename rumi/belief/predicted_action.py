@@ -14,7 +14,7 @@ from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.trajectory_history import History
 from rumi.resampling import systematic
-from rumi.weights import even_weights
+from rumi.weights import equal_weights
 
 
 def predicted(
@@ -50,7 +50,7 @@ def followed(
         pose_filter: of whose prior the action is.
         generator: of the draws.
     """
-    weights, last = even_weights(len(now)), len(history) - 1
+    weights, last = equal_weights(len(now)), len(history) - 1
     for number in range(len(now.history), len(history)):
         segment, opens = history.segment(number), int(history.action[number]) == number
         closes = number == last or int(history.action[number + 1]) == number + 1

@@ -21,7 +21,7 @@ _AXES = "xyz"
 _R3 = 1.2207440846057596
 
 
-def evenly(rank: Float[Tensor, "N"], *, generator: torch.Generator) -> Float[Tensor, "N 3"]:
+def kronecker_sequence(rank: Float[Tensor, "N"], *, generator: torch.Generator) -> Float[Tensor, "N 3"]:
     """Points of a unit cube by their numbers: evenly at any count (Kronecker's R3 sequence), shifted at random."""
     draw = uniform((3,), generator=generator, dtype=rank.dtype, device=rank.device)
     return torch.stack([(draw[k] + (rank + 1) / _R3 ** (k + 1)) % 1.0 for k in range(3)], -1)
@@ -91,7 +91,7 @@ class PosePrior:
             generator: shifts the spread.
         """
         index = torch.arange(count, dtype=self.mean.dtype, device=self.mean.device)
-        share = evenly(torch.div(index, len(self.ways), rounding_mode="floor"), generator=generator)
+        share = kronecker_sequence(torch.div(index, len(self.ways), rounding_mode="floor"), generator=generator)
         angle, radius = 2 * math.pi * share[:, 1], REACH * self.spread_m * share[:, 2].sqrt()
         place = self.mean + radius[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
         yaw = 2 * math.pi * share[:, :1] - math.pi

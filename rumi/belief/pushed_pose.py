@@ -24,7 +24,7 @@ from rumi.belief.pushed_pose_resampling import Drift, resampled
 from rumi.dynamics.push_parameters import sliding_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.pushed_body import PushedBody
-from rumi.weights import even_weights
+from rumi.weights import equal_weights
 from sdf.bounds import Checked, Count, Positive
 from sdf.check import check_finite, check_shape
 
@@ -130,7 +130,7 @@ class PushedPoseFilter:
         posterior = PushPosterior.prior(own.particles, mean=self.prior.mean, deviation=self.prior.deviation)
         return PushedPoseBelief(
             self._about(reading, generator),
-            even_weights(own.particles),
+            equal_weights(own.particles),
             posterior.parameters,
             sliding_of(posterior.parameters, self.body.support),
             self._tool_m * torch.randn((own.particles, 3), generator=generator, dtype=torch.float64),

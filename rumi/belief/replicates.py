@@ -14,7 +14,7 @@ from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, lone
-from rumi.weights import even_weights
+from rumi.weights import equal_weights
 from sensors.reading import Reading
 
 
@@ -50,6 +50,6 @@ def pooled(
         part.at(resample_systematic(weights, count // len(parts) + (place < count % len(parts)), generator=random))
         for place, (part, weights) in enumerate(parts)
     ]
-    first, even = torch.zeros(count, dtype=torch.long), even_weights(count)
+    first, even = torch.zeros(count, dtype=torch.long), equal_weights(count)
     pool = some[0].joined(*some[1:]).replayed(pose_filter.model, own, now.history, first)
     return pose_filter.belief_of(pool, even, after.world_T_attached, after.log_weights)

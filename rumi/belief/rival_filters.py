@@ -30,7 +30,7 @@ from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_moves import Moves, start_density
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import normal
-from rumi.weights import even_weights
+from rumi.weights import equal_weights
 from sdf.grid_sdf import GridSDF
 from sensors.reading import Reading
 
@@ -96,7 +96,7 @@ class Rival(NamedTuple):
         cls, name: str, beliefs: int, pose_filter: PoseTrajectoryFilter, now: Trajectories, log_view: float = 0.0
     ) -> Self:
         """One of so many equally likely beliefs of a name, by particles that are equally weighted."""
-        return cls(name, -math.log(beliefs), pose_filter, now, even_weights(len(now)), log_view)
+        return cls(name, -math.log(beliefs), pose_filter, now, equal_weights(len(now)), log_view)
 
     @property
     def log_evidence(self) -> float:
